@@ -68,7 +68,7 @@ _TIME_CONSTANTS = (0.1, 0.3, 1.0)
 """Shares of a recording's duration: a shorter warm-up is over at once, and a longer one is a drift."""
 _LEAST_TORQUE = 5e-3
 """Of the largest torque on any joint: an axis that is upright but for its making bears less."""
-_SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
+SPEEDS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Shares of a joint's largest speed that the speeds of such friction are tried at."""
 _BLURRED = 3.0
 """Times the speed over which the direction of motion changes its sign, within which it is not ±1 to half a per cent."""
@@ -218,14 +218,18 @@ def resolved_speeds(motion: Motion) -> NDArray[np.floating]:
     return np.array(speeds)
 
 
-def torque_shaped(motion: Motion, resolved: NDArray[np.floating]) -> tuple[dynamic.TorqueEffect, ...]:
+def torque_shaped(
+    motion: Motion, resolved: NDArray[np.floating], shares: Sequence[float] = SPEEDS
+) -> tuple[dynamic.TorqueEffect, ...]:
     """Stribeck friction and Coulomb friction with a transition at a few of their speeds, viscous friction by exponents.
+
+    The speeds are `shares` of the largest one of a joint.
 
     As a motion shows them: a speed below what is `resolved` `(joint,)` is not seen, nor is an exponent of a joint that
     does not move.
     """
     fastest = np.abs(np.asarray(motion.joint_velocity)).max(1)
-    joint_speeds = [(joint, _short(share * v)) for joint, v in enumerate(fastest, 1) for share in _SPEEDS]
+    joint_speeds = [(joint, _short(share * v)) for joint, v in enumerate(fastest, 1) for share in shares]
     effects: list[dynamic.TorqueEffect] = []
     limits = {dynamic.StribeckFriction: dynamic.STRIBECK, dynamic.CoulombFriction: dynamic.TRANSITION}
     slides = np.isin(np.arange(len(fastest)), motion.sliding.joints)

@@ -66,7 +66,8 @@ _LARGE = 30.0
 _FAILURES = 2
 """Fits that are not likelier, from which columns are not believed at a site."""
 _RIVALS = 4
-"""Names of a site that are fitted beside the likeliest one, and one of each other site that moves the same rows."""
+"""Names of a site that are fitted beside the likeliest one, or in the place of two; beside it one of each other site
+that moves the same rows as well."""
 _LIKELY = 0.25
 """Share of the log odds of the likeliest name by its columns, from which others may be likelier by their fits."""
 _LIKELY_IN_LOOP = 0.8
@@ -695,6 +696,8 @@ class Selector:
                 continue
             if not selected.term.nonparametric and (paired := self._paired(state, k)) is not None:
                 return paired
+            if self.problem.curved and (merged := self._merged(state, k)) is not None:
+                return merged
             absorbed = self._absorbed(state, k)
             if absorbed is not None and absorbed.evidence > state.evidence:
                 return absorbed
@@ -729,6 +732,30 @@ class Selector:
             return None
         candidate = self._settled(self._estimated(self._with(self._left_out(state, k), *pair.names)))
         return candidate if candidate.evidence > state.evidence + BETTER else None
+
+    def _merged(self, state: State, k: int) -> State | None:
+        """The state with one name in the place of the k-th and of another name of its site, where that is likelier.
+
+        Each of two names may describe a part of what a third one is: friction that falls with speed is less viscous
+        friction, and more at rest. None where no such name is likelier than both.
+        """
+        site = state.tested[k].term.site
+        if state.tested[k].term.nonparametric:
+            return None
+        likeliest = None
+        for j, other in enumerate(state.tested[:k]):
+            if other.term.nonparametric or other.term.site != site or other.term in self._preset:
+                continue
+            both = {state.tested[j].term.label, state.tested[k].term.label}
+            test = self._beside_all_but(state, {j, k})
+            named = self._not_refused(ModelScan(self.scan, test).named(), test, state)
+            named = [name for name in named if name.site == site and name.cause[0] not in both]
+            without = self._without(state, {j, k})
+            for name in sorted(named, key=lambda name: -name.net)[:_RIVALS]:
+                trial = self._settled(self._added(without, [name]))
+                if trial.evidence > max(state.evidence, likeliest.evidence if likeliest else -np.inf):
+                    likeliest = trial
+        return likeliest
 
     def _absorbed(self, state: State, k: int) -> State | None:
         """The state with one process in the place of the k-th term, a name, and of a process beside it at its site.

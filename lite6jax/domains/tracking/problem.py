@@ -27,7 +27,7 @@ from lite6jax.domains.tracking.ranges import range_of
 from lite6jax.domains.tracking.rollout import CHANNELS, FRICTION, MOST_LANES, roll
 from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
 from lite6jax.domains.tracking.undetermined import LOADED, untestable_effects
-from lite6jax.effects.catalogue import Untestable, resolved_speeds, torque_shaped, tracking_catalogue
+from lite6jax.effects.catalogue import SPEEDS, Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.dynamic import (
     CoulombFriction,
@@ -59,6 +59,8 @@ Array = NDArray[np.floating]
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
 
+_HIGH_SPEED = 0.8
+"""Of the largest speed of a joint, that of a Stribeck friction that is nearly friction and less damping."""
 _SHARE = 0.02
 """Of a number, by which it is changed for a derivative."""
 _REACHED = 0.7
@@ -698,7 +700,7 @@ class TrackingProblem:
     def shaped(self) -> tuple[Effect, ...]:
         """Stribeck friction at a few of its speeds."""
         motion = self.data.motion
-        shaped = torque_shaped(motion, resolved_speeds(motion))
+        shaped = torque_shaped(motion, resolved_speeds(motion), (*SPEEDS, _HIGH_SPEED))
         return tuple(effect for effect in shaped if isinstance(effect, StribeckFriction))
 
     @lazy
