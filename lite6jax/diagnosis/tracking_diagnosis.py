@@ -384,7 +384,7 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
                 break
         if likelier is None:
             break
-        state = likelier
+        state = selector.dropped(likelier)  # what stood for a part of it
         exchanges = exchanges + 1
     pairs = zip(state.tested, rivals, strict=True)
     compared = tuple(_with_alternatives(tested, weighed, of_term) for tested, of_term in pairs)

@@ -119,7 +119,7 @@ class Selector:
 
     def _in_noise_left(self, state: State) -> State:
         """The terms that are worth their cost in the noise that all of them leave."""
-        return self._dropped(replace(state, fit=self.in_likeliest_noise(state.fit)))
+        return self.dropped(replace(state, fit=self.in_likeliest_noise(state.fit)))
 
     def _continued_from(self, state: State) -> State:
         """A state with the terms of it that are worth their cost, estimated anew; itself where it has none."""
@@ -182,7 +182,7 @@ class Selector:
                     trials.append(trial)
         if not trials:
             return None
-        likeliest = self._dropped(self._estimated(max(trials, key=lambda trial: trial.evidence)))
+        likeliest = self.dropped(self._estimated(max(trials, key=lambda trial: trial.evidence)))
         return likeliest if likeliest.evidence > state.evidence else None
 
     def _grown(self, state: State, exchanging: bool, asked: set[tuple[object, ...]]) -> State:
@@ -578,7 +578,7 @@ class Selector:
             tested.append(weighed if cost is None else replace(weighed, cost=cost))
         return replace(state, tested=tuple(tested))
 
-    def _dropped(self, state: State) -> State:
+    def dropped(self, state: State) -> State:
         """Without the terms that are not worth their cost, the least of those that act on any row first."""
         while True:
             state = self.weighed(state)
@@ -618,7 +618,7 @@ class Selector:
             k = int(np.argmax(excess))
             if excess[k] <= 0:
                 break
-            state = self._dropped(self._left_out(state, k))
+            state = self.dropped(self._left_out(state, k))
         return state
 
     def _weighed_as_is(self, state: State, k: int) -> SelectedTerm:
@@ -846,7 +846,7 @@ class Selector:
             if gain + CLOSE < net + needed:
                 continue
             bare = bare or self._left_out(state, k)
-            candidate = self._noise_chosen_again(self._dropped(self._added(bare, names)))
+            candidate = self._noise_chosen_again(self.dropped(self._added(bare, names)))
             if candidate.evidence > state.evidence + needed:
                 return candidate
         return None
@@ -1068,14 +1068,14 @@ class Selector:
 
     def _settled(self, state: State) -> State:
         """Without what is not possible or not worth its cost, in the noise that is then left."""
-        return self._noise_chosen_again(self._dropped(self._within_bounds(state)))
+        return self._noise_chosen_again(self.dropped(self._within_bounds(state)))
 
     def _noise_chosen_again(self, state: State) -> State:
         """White noise stays white: `selected` asks for another. Where noise turns white, terms are estimated anew."""
         if state.fit.noise.white:
             return state
         again = replace(state, fit=self.in_likeliest_noise(state.fit))
-        return self._dropped(self._within_bounds(self._estimated(again))) if again.fit.noise.white else again
+        return self.dropped(self._within_bounds(self._estimated(again))) if again.fit.noise.white else again
 
     def in_likeliest_noise(self, fitted: Fit) -> Fit:
         """The same terms fitted in the likeliest noise of their residuals; the fit itself where all is white."""
