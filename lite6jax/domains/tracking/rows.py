@@ -35,7 +35,7 @@ fourth as long move them by 8 µrad. What moves every joint by less is no effect
 COARSE = 3e-4
 """rad of noise, from which integration steps beside unknown servos are `_LONG`, and loads stay those along the measured
 motion."""
-_FINE = 1e-4
+_FINE = 5e-5
 """rad of noise, below which integration steps are half as long: light joints and rate limits are off by up to 30 µrad
 at the longest step, and by a quarter of that at half of it."""
 _LONG = 0.005
