@@ -9,7 +9,17 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 LIBRARY = [
     *("interruption", "errors", "fields", "suffixes", "storage", "results", "progress", "threads"),
-    *("deferred", "levenberg_marquardt", "arms", "formatting", "effects", "model", "sensors", "recordings"),
+    *(
+        "deferred",
+        "few_shapes",
+        "levenberg_marquardt",
+        "arms",
+        "formatting",
+        "effects",
+        "model",
+        "sensors",
+        "recordings",
+    ),
     *("estimation", "search", "calibration", "domains", "design", "diagnosis", "simulation"),
 ]
 """What a program of a user imports."""
