@@ -111,10 +111,15 @@ def drivers_of(effect: Row) -> list[list[str]]:
 
 def admits(effect: Row, finding: Row) -> bool:
     """Whether a finding is the hidden effect or lists it among the alternatives that are inseparable."""
-    listed = [rival for rival in finding.get("confusable_with", ())[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
+    listed = [rival for rival in _effects_among(finding)[:ADMITTED] if rival["log_likelihood_gap"] <= GAP]
     return same(effect, finding) or any(
         rival["effect"] == called(effect) and rival["site"] in sites_of(effect) for rival in listed
     )
+
+
+def _effects_among(finding: Row) -> list[Row]:
+    """The alternatives of a finding that are effects; others are faults of the data."""
+    return [rival for rival in finding.get("confusable_with", ()) if "effect" in rival]
 
 
 def named_by_faults(diagnosis: Row, hidden: Sequence[Row]) -> list[Row]:
@@ -283,7 +288,7 @@ def _of_finding(finding: Row, hidden: Sequence[Row]) -> Row:
             "driver": finding.get("driver", ""),
             "gain": finding.get("log_likelihood_gain"),
             "true": any(same(effect, finding) for effect in hidden),
-            "rivals": [f"{rival['effect']}:{rival['site']}" for rival in finding.get("confusable_with", ())],
+            "rivals": [f"{rival['effect']}:{rival['site']}" for rival in _effects_among(finding)],
         }
     )
 

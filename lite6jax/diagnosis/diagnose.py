@@ -26,6 +26,7 @@ from lite6jax.design.poses import plan_discrimination, short_path
 from lite6jax.diagnosis.document import require_domain
 from lite6jax.diagnosis.estimates import compare_domains
 from lite6jax.diagnosis.explanation import Case, explain
+from lite6jax.diagnosis.fault_alternative import FaultAlternative
 from lite6jax.diagnosis.heldout import (
     errors_of_folds,
     errors_of_supported,
@@ -36,7 +37,7 @@ from lite6jax.diagnosis.heldout import (
     verify,
 )
 from lite6jax.diagnosis.options import Options
-from lite6jax.diagnosis.result import AS_NOISE, STATISTICS, DomainDiagnosis, SeparatingPoses
+from lite6jax.diagnosis.result import AS_NOISE, STATISTICS, DomainDiagnosis, Finding, SeparatingPoses
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis, diagnose_torques
 from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis, diagnose_tracking
 from lite6jax.diagnosis.uncertainty import uncertainty_of_poses
@@ -432,6 +433,9 @@ def diagnose_poses(
     for fault in (*rows.ruled_out, *explanation.screened.ruled_out):
         if fault.code not in {corrected.code for corrected in rows.found}:  # for which the corrected rows are screened
             ruled_out.setdefault(fault.code, fault)
+    findings = tuple(_with_faults(finding, explanation.alternatives) for finding in verified.findings)
+    for alternative in (alternative for finding in findings for alternative in finding.faults):
+        ruled_out.pop(alternative.fault.code, None)
     faults = (*rows.found, *explanation.screened.found)
     if not problem.valid.all():  # joints were not recorded at the instant of the pose
         without_joints = row_numbers(problem.recording.row[~problem.valid])
@@ -443,8 +447,13 @@ def diagnose_poses(
         options=options,
         outliers=_outliers(selection),
         separating=separating,
-        **verified._asdict(),
+        **verified._replace(findings=findings)._asdict(),
     )
+
+
+def _with_faults(finding: Finding, alternatives: Sequence[FaultAlternative]) -> Finding:
+    """The finding with the faults that may be there in its place."""
+    return replace(finding, faults=tuple(fault for fault in alternatives if fault.replaces(finding.effect)))
 
 
 def _outliers(selection: Selection) -> NDArray[np.bool_]:

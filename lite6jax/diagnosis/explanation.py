@@ -17,6 +17,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.calibration.problem import Geometry
+from lite6jax.diagnosis.fault_alternative import FaultAlternative, missing_effects
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.linearisation import linearised, search_load_model
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
@@ -70,12 +71,14 @@ class Explanation:
         selection: the physics found in what is left.
         price: log-likelihood that the corrections must gain, for the quantities that were estimated for them.
         decisions: between faults and physics.
+        alternatives: faults that explain nearly as much as some of the physics, in its place.
     """
 
     screened: ScreenedPoses
     selection: Selection
     price: float
     decisions: Decisions
+    alternatives: tuple[FaultAlternative, ...] = ()
 
     @property
     def problem(self) -> PoseProblem:
@@ -105,9 +108,29 @@ class Explanation:
         return replace(self.decisions, corrections=corrections, physics=self.selection.start, accelerated=accelerated)
 
     @property
-    def labels(self) -> list[str]:
+    def physics(self) -> list[Effect]:
         """The effects it has."""
-        return [term.label for term in self.selection.state.fit.terms.terms]
+        return [term for term in self.selection.state.fit.terms.terms if isinstance(term, Effect)]
+
+    @property
+    def labels(self) -> list[str]:
+        """The labels of these."""
+        return [effect.label for effect in self.physics]
+
+    def with_alternative(self, with_fault: "Explanation", fault: DataFault, gap: float) -> "Explanation":
+        """The same, with a fault as an alternative of the physics that an explanation with this fault does without.
+
+        Args:
+            with_fault: the likeliest explanation with the fault.
+            fault: with the numbers that are said of it.
+            gap: by how much that explanation is less likely; from six nats on the fault is no alternative.
+        """
+        replaced = tuple(missing_effects(self.physics, with_fault.physics))
+        if gap >= CLOSE or not replaced:
+            return self
+        together_with = tuple(missing_effects(with_fault.physics, self.physics))
+        alternative = FaultAlternative(fault, gap, replaced, together_with)
+        return replace(self, alternatives=(*self.alternatives, alternative))
 
 
 @final
@@ -197,7 +220,10 @@ def explain(case: Case, decisions: Decisions | None = None) -> Explanation:
     explanation = case.explanation(decisions or Decisions())
     if decisions is None:
         for weighed in (_jumps_weighed, _settling_weighed, _constant_weighed, _table_weighed, _calibration_weighed):
+            earlier = explanation.alternatives
             explanation = weighed(explanation, case)
+            alternatives = tuple(dict.fromkeys((*earlier, *explanation.alternatives)))
+            explanation = replace(explanation, alternatives=alternatives)
         explanation = replace(explanation, selection=reviewed(explanation.selection, case.options.engine))
     return _with_wandering(explanation)
 
@@ -264,8 +290,13 @@ def _constant_weighed(explanation: Explanation, case: Case) -> Explanation:
     rival = case.explanation(replace(explanation.decisions, corrections=corrections))
     if screened:
         explanation = _likelier(explanation, rival, "distance_offset")
-    elif rival.evidence - explanation.evidence > case.options.prior.cost("distance_constant"):
-        explanation = _likelier(rival, explanation, "distance_offset")
+    else:
+        gap = explanation.evidence + case.options.prior.cost("distance_constant") - rival.evidence
+        if gap < 0:
+            explanation = _likelier(rival, explanation, "distance_offset")
+        else:
+            constant = _fault_of(rival, "distance_offset")
+            explanation = explanation.with_alternative(rival, constant, gap)
     return _with_constant(explanation, bool(explanation.screened.count("distance_offset")))
 
 
@@ -281,9 +312,15 @@ def _likelier(explanation: Explanation, rival: Explanation, code: str, **numbers
     if gap > 0:
         more = {"log_likelihood_gap": gap, "rival_terms": rival.labels}
         return replace(explanation, screened=_with_numbers(explanation.screened, code, more))
+    rival = rival.with_alternative(explanation, _fault_of(explanation, code).with_numbers(**numbers), -gap)
     numbers = {"reason": "physics", **numbers, "log_likelihood_gap": -gap, "rival_terms": rival.labels}
     ruled_out = (*rival.screened.ruled_out, DataFault(code, (), numbers))
     return replace(rival, screened=replace(rival.screened, ruled_out=ruled_out))
+
+
+def _fault_of(explanation: Explanation, code: str) -> DataFault:
+    """The first fault of a code that an explanation has."""
+    return next(fault for fault in explanation.screened.found if fault.code == code)
 
 
 def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
@@ -306,8 +343,9 @@ def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
     gap = published.evidence - explanation.evidence
     more: dict[str, object] = {}
     if likelier is not None:
-        if gap <= case.options.prior.cost("nominal_table"):
-            return explanation
+        cost = case.options.prior.cost("nominal_table")
+        if gap <= cost:
+            return explanation.with_alternative(published, _fault_of(published, "nominal_table"), cost - gap)
         more = {"log_likelihood_gap": gap, "rival_terms": explanation.labels}
     if case.geometry != "declared":
         return replace(explanation, screened=_with_numbers(used, "nominal_table", more))
@@ -344,8 +382,10 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
     gap = rival.evidence - explanation.evidence - cost
     if gap <= -CLOSE:
         return explanation
-    numbers = {"sigma_m": sigma, "sigma_rad": sigma, "log_likelihood_gap": gap, "rival_terms": explanation.labels}
+    size = {"sigma_m": sigma, "sigma_rad": sigma}
+    numbers = {**size, "log_likelihood_gap": gap, "rival_terms": explanation.labels}
     if gap <= 0:
+        explanation = explanation.with_alternative(rival, DataFault("calibration_off", (), size), -gap)
         numbers |= {"reason": "physics", "log_likelihood_gap": -gap}
         ruled_out = DataFault("calibration_off", (), numbers)
         return replace(

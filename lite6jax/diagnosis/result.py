@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 
 from lite6jax.diagnosis.agreement import Agreement
 from lite6jax.diagnosis.document import SCHEMA, Verdict
+from lite6jax.diagnosis.fault_alternative import FaultAlternative
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.base import DomainName, DomainProblem
 from lite6jax.domains.entries import effect_entry
@@ -66,6 +67,7 @@ class Finding:
             be wrong without being found so.
         block_std: `(coordinate,)`, standard deviations of its numbers from their scatter between blocks of the
             recording, and after them that of the chosen one where it has a standard deviation; empty where not known.
+        faults: of the data, that explain nearly as much in its place.
     """
 
     effect: Effect
@@ -77,6 +79,7 @@ class Finding:
     chosen_std: float = 0.0
     input_share: float = 0.0
     block_std: Array = field(default_factory=lambda: np.zeros(0))
+    faults: tuple[FaultAlternative, ...] = ()
 
     @property
     def name(self) -> str:
@@ -225,7 +228,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         errors: on held-out rows, with the nuisance alone, and with those of the effects that the other blocks support;
             where that rejected the findings and these hold when they are fitted again, with the findings.
         faults: of the data, in the order in which they were corrected.
-        ruled_out: faults that were tested for and are not there.
+        ruled_out: faults that were tested for and are not there; one that may be there in place of a finding is in
+            `faults` of that finding.
         options: thresholds.
         folds: `(sample,)` bool each, the rows that were held out together for `errors`.
         outliers: `(sample,)` bool, outlying rows, of torques contacts, and rows without joints; statistics of `errors`
@@ -477,7 +481,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             size["fit_std"] = finding.fit_std
         if finding.input_share:
             size["payload_share"] = finding.input_share
-        alternatives = sorted(finding.alternatives, key=lambda alternative: alternative.gap)
+        alternatives = [self._alternative(k, alternative) for alternative in finding.alternatives]
+        alternatives += [_fault_alternative(finding.effect, alternative) for alternative in finding.faults]
         return {
             **effect_entry(finding.effect),
             "parameters": {name: estimate._asdict() for name, estimate in finding.parameters.items()},
@@ -485,7 +490,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             "p_value": finding.p_value,
             "log_likelihood_gain": finding.gain,
             **self.moves[k],
-            "confusable_with": [self._alternative(k, alternative) for alternative in alternatives],
+            "confusable_with": sorted(alternatives, key=lambda entry: entry["log_likelihood_gap"]),
         }
 
     def _alternative(self, k: int, alternative: Alternative) -> dict[str, Any]:
@@ -498,14 +503,28 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             status = "found"
             if effect not in self.fit.terms.terms:
                 status = self._distinction(k, effect)
-        entry = {**effect_entry(effect), **_stated_numbers(effect)}
+        entry = _stated_effect(effect)
         if alternative.together_with:
             entry["together_with"] = [
-                {**effect_entry(other), **_stated_numbers(other)}
-                for other in alternative.together_with
-                if isinstance(other, Effect)
+                _stated_effect(other) for other in alternative.together_with if isinstance(other, Effect)
             ]
         return {**entry, "log_likelihood_gap": alternative.gap, "status": status}
+
+
+def _fault_alternative(effect: Effect, alternative: FaultAlternative) -> dict[str, Any]:
+    """A fault that may be there in place of an effect, with the other effects that it would explain or need."""
+    entry: dict[str, Any] = {"fault": alternative.fault.code, "numbers": alternative.numbers}
+    others = alternative.others(effect)
+    if others:
+        entry["instead_of"] = [_stated_effect(other) for other in others]
+    if alternative.together_with:
+        entry["together_with"] = [_stated_effect(other) for other in alternative.together_with]
+    return {**entry, "log_likelihood_gap": alternative.gap, "status": "undecided"}
+
+
+def _stated_effect(effect: Effect) -> dict[str, Any]:
+    """Which effect, where, of what, and what tells it from others of its name and site."""
+    return {**effect_entry(effect), **_stated_numbers(effect)}
 
 
 def _stated_numbers(effect: Effect) -> dict[str, Any]:

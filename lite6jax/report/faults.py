@@ -4,9 +4,9 @@ Texts that depend on no condition are in `templates/faults.yaml`, the others are
 `sentences.causes`. To add a fault, write its name in the first, and its sentences in either.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import RenderableType
 
@@ -53,6 +53,16 @@ def fault_statement(fault: DataFault) -> str:
     if has_clause(fault.code):
         return mismatch_found(fault, texts.get("remedy", "Correct the columns in the file"))
     return f"{fault_name(fault.code)}."
+
+
+def fault_alternative(entry: Mapping[str, Any]) -> str:
+    """A fault that may be there in place of a finding, by the entry of `confusable_with`: a phrase."""
+    return fill(NAMES[entry["fault"]]["alternative"], entry["numbers"])
+
+
+def fault_distinction(entry: Mapping[str, Any]) -> str:
+    """What to do to tell such a fault from a finding: a phrase that begins with a verb."""
+    return fill(NAMES[entry["fault"]]["distinction"], entry["numbers"])
 
 
 def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:

@@ -102,12 +102,19 @@ def _places(entry: Entry) -> list[str]:
     return list(dict.fromkeys(map(place_of, sites)))[:_MOST_PLACES]
 
 
+def alternatives_of(finding: Entry) -> list[Entry]:
+    """The effects and the faults of the data that a finding may be instead, the nearest first."""
+    return sorted(
+        finding.get("confusable_with", ()), key=lambda alternative: alternative.get("log_likelihood_gap", 0.0)
+    )
+
+
 def distinct_rivals(finding: Entry) -> list[Entry]:
-    """The effects that a finding may be instead, the nearest first.
+    """The effects that a finding may be instead, the nearest first; faults of the data are none.
 
     What depends on a further driver beside those of the finding, or of a nearer one, is left out: it contains this one.
     """
-    rivals = sorted(finding.get("confusable_with", ()), key=lambda rival: rival.get("log_likelihood_gap", 0.0))
+    rivals = [alternative for alternative in alternatives_of(finding) if "effect" in alternative]
     distinct = []
     driver_sets = []
     if finding["effect"] == "unnamed":

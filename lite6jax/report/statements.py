@@ -19,14 +19,16 @@ from lite6jax.formatting import (
     SCREEN,
     RoundedParameter,
     capital,
+    joined,
     quantity,
     rounded,
     significant,
 )
 from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking
-from lite6jax.report.faults import fault_statement, ruled_out_statements
+from lite6jax.report.faults import fault_alternative, fault_distinction, fault_statement, ruled_out_statements
 from lite6jax.report.remedies import (
+    alternatives_of,
     component,
     distinct_rivals,
     drivers_of,
@@ -132,7 +134,7 @@ def findings_of(document: Document) -> list[dict[str, Any]]:
 
     Added are `rank` (from 1), `title`, `statement`, `where` (the fields of its effect), `place` (in the document, from
     0), `contribution` (what it moves, with its unit), `share` (of the largest contribution), `rivals` and `rejected`
-    (effects that are not, and are, distinguished from it).
+    (what is not, and what is, distinguished from it).
     """
     findings = ranking.detailed(document)
     shares = ranking.shares(document)
@@ -213,12 +215,28 @@ def p_value_statement(finding: Entry) -> str:
 
 
 def rivals(finding: Entry, rejected: bool = False) -> list[str]:
-    """The effects that the recording does not distinguish from a finding, or the nearest that explain clearly less.
+    """What the recording does not distinguish from a finding, or the nearest that explain clearly less.
 
-    The nearest come first; on poses with their log evidence over its own.
+    These are effects and faults of the data. The nearest come first; on poses with their log evidence over its own.
     """
-    entries = [rival for rival in distinct_rivals(finding) if (rival["status"] == "rejected") == rejected]
-    return words_of(finding).rivals([(effect_title(rival), rival) for rival in entries])
+    distinct = distinct_rivals(finding)
+    listed = [entry for entry in alternatives_of(finding) if "fault" in entry or entry in distinct]
+    entries = [entry for entry in listed if (entry["status"] == "rejected") == rejected]
+    return words_of(finding).rivals([(_alternative_title(entry), entry) for entry in entries])
+
+
+def _alternative_title(entry: Entry) -> str:
+    """An effect, or a fault of the data with the other effects that it would explain, in words."""
+    if "effect" in entry:
+        return effect_title(entry)
+    title = fault_alternative(entry)
+    others = [effect_title(other) for other in entry.get("instead_of", ())]
+    together_with = [effect_title(other) for other in entry.get("together_with", ())]
+    if others:
+        title += f", in place of {joined(others)} as well"
+    if together_with:
+        title += f" together with {joined(together_with)}"
+    return title
 
 
 # ------------------------------------------------------------------ what was not tested, and what to record
@@ -253,10 +271,11 @@ def what_to_record(document: Document) -> list[str]:
     texts = _TEXTS["record"]
     lines = []
     equivalent = []
+    by_fault: dict[tuple[str, str], list[str]] = {}
     findings = ranking.detailed(document)
     for finding in findings:
         subject = {"one": effect_title(finding), "site": finding["site"]}
-        waves = [rival for rival in finding["confusable_with"] if _of_one_wave(finding, rival)]
+        waves = [rival for rival in finding["confusable_with"] if "effect" in rival and _of_one_wave(finding, rival)]
         open_waves = [rival for rival in waves if rival["status"] == "undecided"]
         if orders := [f"{rival['order']:.6g}" for rival in open_waves if "together_with" not in rival]:
             lines.append(fill(texts["orders"], subject, orders=orders))
@@ -276,6 +295,13 @@ def what_to_record(document: Document) -> list[str]:
             drivers = dict.fromkeys(f"the {driver}" for entry in (finding, *near) for driver in drivers_of(entry))
             titles = list(map(effect_title, near))
             lines.append(sentences.separate_undecided(document, subject["one"], titles, list(drivers)))
+        for entry in alternatives_of(finding):
+            if "fault" in entry:
+                by_fault.setdefault((fault_alternative(entry), fault_distinction(entry)), []).append(subject["one"])
+    lines += [
+        fill(texts["separable_by"], {"names": names, "other": other, "remedy": remedy})
+        for (other, remedy), names in by_fault.items()
+    ]
     doubtful = [effect_title(finding) for finding in findings if finding.get("payload_share", 0.0) > _MOST]
     if doubtful:
         lines.append(fill(texts["payload"], {"names": doubtful}))

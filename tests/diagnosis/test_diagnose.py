@@ -1,6 +1,7 @@
 """The whole diagnosis: what is said of clean recordings, of named physics and of physics without a name."""
 
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from diagnosis.recorded import (
     static_motion,
     with_effects,
 )
+from rich.console import Console
 
 from lite6jax.arms import frames
 from lite6jax.arms.description import load_bundled
@@ -24,6 +26,8 @@ from lite6jax.diagnosis.explanation import explain as explain_with
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.progress import Stage
+from lite6jax.report.sections import diagnosis_report
+from lite6jax.report.statements import with_statements
 
 SAMPLES = 200
 TWO_FOLDS = Options(folds=2)
@@ -229,6 +233,31 @@ def test_of_a_stale_file_and_a_bent_link_the_likelier_is_said(tmp_path, less_lik
     ]
     assert [fault.numbers.get("reason", "found") for fault in faults] == ([] if said is None else [said])
     assert all(fault.numbers["rival_terms"] == ["frame_offset:link3"] for fault in faults)
+
+
+def test_a_stale_file_is_an_alternative_of_the_link_that_it_would_explain(tmp_path):
+    """Its prior probability is such that the bent link of the test before is likelier by 1.6 nats."""
+    made = Made(tmp_path, seed=74)
+    recording = made.recording(static_motion(74, SAMPLES))
+    off = 6e-6 * np.random.default_rng(74).standard_normal(made.kinematics.shape)
+    write_factory(made.kinematics + off, recording.settings.factory_calibration, overwrite=True)
+    prior = {"calibration_off": 0.1 * float(np.exp(-12.0))}
+    document = diagnose(replace(recording, settings=replace(recording.settings, prior=prior))).to_dict()
+    (finding,) = document["findings"]
+    assert (finding["effect"], finding["site"]) == ("frame_offset", "link3")
+    (entry,) = [entry for entry in finding["confusable_with"] if "fault" in entry]
+    assert (entry["fault"], entry["status"]) == ("calibration_off", "undecided")
+    assert entry["log_likelihood_gap"] == pytest.approx(1.6, abs=0.1)
+    assert 2e-6 < entry["numbers"]["sigma_m"] < 2e-5
+    assert "instead_of" not in entry
+    gaps = [entry["log_likelihood_gap"] for entry in finding["confusable_with"]]
+    assert gaps == sorted(gaps)
+    assert "calibration_off" not in [fault["fault"] for fault in document["ruled_out"]]
+    console = Console(width=2000, file=StringIO())
+    console.print(*diagnosis_report(with_statements(document), "poses.csv"))
+    said = console.file.getvalue()
+    assert "a calibration file that is off everywhere by " in said
+    assert "To separate frame offset at link3 from a calibration file that is off everywhere by " in said
 
 
 def test_one_number_that_is_off_is_physics(tmp_path):

@@ -112,7 +112,7 @@ RULED_OUT = [
     (
         fault("calibration_off", reason="physics", sigma_m=1e-5, sigma_rad=1e-5, log_likelihood_gap=1.5,
               rival_terms=["frame_offset:link3"]),
-        "The calibration file may be off everywhere instead, by 0.01 mm and mrad (log evidence -1.5",
+        "The calibration file may be off everywhere, by 0.01 mm and mrad, but that is less likely by 1.5 of",
     ),
     (fault("commanded_joints", reason="declared"), "declares commanded joint positions"),
 ]  # fmt: skip

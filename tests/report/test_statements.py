@@ -15,6 +15,7 @@ from rich.text import Text
 
 from lite6jax import formatting
 from lite6jax.arms.factory import write_factory
+from lite6jax.diagnosis.fault_alternative import FaultAlternative
 from lite6jax.diagnosis.result import SeparatingPoses
 from lite6jax.domains.pose.reference import ReferenceComparison
 from lite6jax.effects.nonparametric import Unnamed
@@ -242,6 +243,33 @@ def test_what_to_record_next(undecided, drawn):
     near = ", ".join(f"{name} (log evidence {gap})" for name, gap in gaps.items())
     assert f"Not distinguished from {near}." in said
     assert "rejected: joint harmonic of order 1 at joint2 (log evidence -6.1)" in text
+
+
+FAULTS_INSTEAD = {
+    "calibration_off": ({"sigma_m": 1e-5, "sigma_rad": 1e-5}, "a calibration file that is off everywhere by 10 µm and"),
+    "nominal_table": ({"table": "lite6_ros"}, "the nominal table lite6_ros in place of the declared one"),
+    "frame_jump": ({"candidate_rows": [30, 90]}, "a frame jump at row 30 and 90"),
+    "unsettled_readouts": ({"joints": [2]}, "joint positions that were read before the arm had settled"),
+    "distance_offset": ({"constant_m": 1e-4}, "a constant of 0.1 mm in all distances"),
+}
+
+
+@pytest.mark.parametrize("code", FAULTS_INSTEAD)
+def test_a_fault_that_may_be_there_instead_is_said_beside_the_effects(undecided, drawn, code):
+    numbers, phrase = FAULTS_INSTEAD[code]
+    effect = parse_effect("joint_harmonic:joint=2,order=1,amplitude_rad=1e-4,phase_rad=0")[0]
+    (finding,) = undecided.findings
+    alternative = FaultAlternative(DataFault(code, (), numbers), 1.54, (finding.effect, effect))
+    found = replace(undecided, findings=(replace(finding, faults=(alternative,)),))
+    text, (_, said) = page(found, drawn), screen(found, width=60)
+    for shown in (text, said):
+        assert f", {phrase}" in shown
+        assert ", in place of joint harmonic of order 1 at joint2 as well (log evidence -1.5)" in shown
+        assert shown.count(f"To separate joint compliance at joint2 from {phrase}") == 1
+    (entry,) = [entry for entry in found.to_dict()["findings"][0]["confusable_with"] if "fault" in entry]
+    assert entry["instead_of"] == [
+        {"effect": "joint_harmonic", "site": "joint2", "driver": "position of joint 2", "order": 1.0}
+    ]
 
 
 def test_what_no_recording_would_change_comes_last(undecided):

@@ -575,11 +575,11 @@ def calibration_off_found(fault: DataFault) -> str:
 
 
 def calibration_off_ruled_out(fault: DataFault) -> str:
-    """Says whether the file may be off instead of what was found."""
+    """Says how much less likely all is with a file that is off."""
     numbers = fault.numbers
     return (
-        f"The calibration file may be off everywhere instead, by {milli(numbers['sigma_m'], 2)} mm and mrad (log "
-        f"evidence -{significant(numbers['log_likelihood_gap'], 2)} beside the findings); check it, or declare "
+        f"The calibration file may be off everywhere, by {milli(numbers['sigma_m'], 2)} mm and mrad, but that is less "
+        f"likely by {significant(numbers['log_likelihood_gap'], 2)} of log-likelihood; check it, or declare "
         "factory_uncertainty."
     )
 
