@@ -177,16 +177,24 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out positions per axis, and of orientations as they are fitted, where these were measured."""
+        """Of held-out positions per axis, and of orientations as they are fitted, where these were measured.
+
+        Where read-outs wander, positions are as they are fitted too: how far read-outs are off in held-out rows is not
+        known from the others.
+        """
         problem = self.problem
         fit = self.fit
         inliers = ~self.outliers
         position = orientation = None
+        freedom = max(1 - fit.parameters / max(problem.rows * inliers.sum(), 1), 0.1)
         if problem.declared_noise[0] is not None and inliers.any():
             rows = min(problem.rows, 3)
-            position = float(np.sqrt(np.mean(self.after[inliers] ** 2) / rows) / problem.declared_noise[0])
+            squares = self.after**2
+            if problem.wandering:
+                lengths, _ = problem.errors(fit.nuisance, fit.terms, fit.values)
+                squares = lengths[0] ** 2 / freedom
+            position = float(np.sqrt(np.mean(squares[inliers]) / rows) / problem.declared_noise[0])
         if problem.declared_noise[1] is not None and inliers.any():
-            freedom = max(1 - fit.parameters / max(problem.rows * inliers.sum(), 1), 0.1)
             orientation = float(np.sqrt(np.mean(fit.residuals.rows[3:, inliers] ** 2) / freedom))
         return {"position": position, "orientation": orientation}
 

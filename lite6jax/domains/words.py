@@ -66,7 +66,8 @@ class SectionWords(Words, ABC):
         subject: what of an arm is diagnosed, before its name; empty of the arm itself.
         noise_of: with whose noise errors are compared, in the genitive, such as "sensors'".
         noise_key: of the sidecar, which declares that noise.
-        consistent: nothing was found; with `{corrected}`, the faults of the data.
+        consistent: nothing was found; with `{corrected}`, the faults of the data, and of poses `{wandering}`, read-outs
+            that wander.
         consistent_beside_reference: the same beside the differences from a reference; empty where that says no more.
         more_than_noise: what follows where effects were found and more is left.
         too_short: a recording that does not tell whether something is missing.

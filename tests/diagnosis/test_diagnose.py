@@ -253,9 +253,9 @@ def test_a_stale_file_is_an_alternative_of_the_link_that_it_would_explain(tmp_pa
     gaps = [entry["log_likelihood_gap"] for entry in finding["confusable_with"]]
     assert gaps == sorted(gaps)
     assert "calibration_off" not in [fault["fault"] for fault in document["ruled_out"]]
-    console = Console(width=2000, file=StringIO())
-    console.print(*diagnosis_report(with_statements(document), "poses.csv"))
-    said = console.file.getvalue()
+    printed = StringIO()
+    Console(width=2000, file=printed).print(*diagnosis_report(with_statements(document), "poses.csv"))
+    said = printed.getvalue()
     assert "a calibration file that is off everywhere by " in said
     assert "To separate frame offset at link3 from a calibration file that is off everywhere by " in said
 

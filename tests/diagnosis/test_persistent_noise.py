@@ -1,10 +1,18 @@
 """Read-outs that wander by themselves: noise of a joint, which no function of what was recorded explains."""
 
+from dataclasses import replace
+from io import StringIO
+
 import numpy as np
 import pytest
 from diagnosis.recorded import NOISE, OPTIONS, Made, moving_motion
+from rich.console import Console
 
+from lite6jax.diagnosis.diagnose import diagnose_poses
+from lite6jax.diagnosis.options import QUICK
 from lite6jax.domains.pose.problem import PoseProblem, pose_problem
+from lite6jax.report.sections import diagnosis_report
+from lite6jax.report.statements import with_statements
 from lite6jax.search.scan import Scan
 from lite6jax.search.search import search
 
@@ -38,6 +46,24 @@ def test_a_read_out_that_wanders_is_noise_of_its_joint_and_no_finding(tmp_path, 
     memory = SAMPLES / np.pi / term.rolloff[0]
     assert 10 < memory < 100  # of 33 samples
     assert SIZE / 2 < term.spread < 2 * SIZE
+
+
+@pytest.mark.parametrize(("declared", "verdict"), [(NOISE[0], "consistent"), (NOISE[0] / 2, "unexplained")])
+def test_a_healthy_arm_whose_read_out_wanders_is_as_described(tmp_path, declared, verdict):
+    """Unless more is left beside what wanders than the sensor's noise."""
+    recording = wandering_problem(tmp_path, 1).recording
+    settings = replace(recording.settings, position_noise_m=declared)
+    document = diagnose_poses(replace(recording, settings=settings), options=QUICK).to_dict()
+    assert document["verdict"] == verdict
+    assert document["findings"] == []
+    assert [fault["fault"] for fault in document["data_faults"]] == ["wandering_readout"]
+    printed = StringIO()
+    Console(width=2000, file=printed).print(*diagnosis_report(with_statements(document), "poses.csv"))
+    said = printed.getvalue()
+    assert "Joint 2 is read out with an error that wanders by itself" in said
+    assert ("is the sensor's noise and what the read-out of joint 2 wanders by." in said) == (verdict == "consistent")
+    assert ("Consistent: the model of the arm, read-outs that wander and" in said) == (verdict == "consistent")
+    assert ("Position errors beside read-outs that wander are " in said) == (verdict == "unexplained")
 
 
 def test_one_more_read_out_of_a_kind_that_wanders_costs_even_odds(tmp_path):

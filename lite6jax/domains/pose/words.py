@@ -35,13 +35,16 @@ class PoseWords(SectionWords):
 
     def error_ratios(self, document: Document) -> str:
         parts = []
+        wandering = ""
+        if any(fault["fault"] == "wandering_readout" for fault in document["data_faults"]):
+            wandering = " beside read-outs that wander"
         for what, ratio in document["left"]["over_noise"].items():
             if ratio is None:
                 continue
-            held_out = ""
-            if what == "position":
-                held_out = "held-out "
-            parts.append(f"{held_out}{what} errors are {multiple(ratio)} times the declared noise")
+            errors = f"{what} errors"
+            if what == "position" and not wandering:
+                errors = f"held-out {errors}"
+            parts.append(f"{errors}{wandering} are {multiple(ratio)} times the declared noise")
         if not document["left"]["white"]:
             parts.append("neighbouring rows are correlated")
         return f"{capital(joined(parts))}."
@@ -184,7 +187,7 @@ POSE_WORDS = PoseWords(
     error_column="position_rms_m",
     noise_of="sensor's",
     noise_key="position_noise_m",
-    consistent="Consistent{corrected}: the model of the arm and the sensor's noise explain the recording.",
+    consistent="Consistent{corrected}: the model of the arm{wandering} and the sensor's noise explain the recording.",
     consistent_beside_reference="Consistent: beyond the differences above, the two recordings differ by noise.",
     too_short="there are too few rows to tell whether something is missing.",
     separating="more poses",

@@ -28,6 +28,8 @@ from lite6jax.report.sentences.document import (
     declares_noise,
     has_computed_poses,
     nearly_significant,
+    noise_left,
+    wandering_joints,
     words_of,
 )
 from lite6jax.report.words import fill, read_texts
@@ -44,7 +46,7 @@ def verdict_statement(document: Document) -> str:
     if verdict == "consistent":
         return consistent(document)
     if verdict == "explained":
-        return f"Explained: with the effects below, the held-out errors are the {words_of(document).noise_of} noise."
+        return f"Explained: with the effects below, the held-out errors are {noise_left(document)}."
     if verdict == "partly_explained":
         sentence = partly_explained(document)
     elif verdict == "unnamed":
@@ -74,7 +76,10 @@ def consistent(document: Document) -> str:
             f"Consistent{corrected}: no effect is significant, and the residuals look like noise. Their size is not "
             f"tested, as the sidecar declares {undeclared_noise(document)}."
         )
-    return words.consistent.format(corrected=corrected)
+    wandering = ""
+    if wandering_joints(document):
+        wandering = ", read-outs that wander"
+    return words.consistent.format(corrected=corrected, wandering=wandering)
 
 
 def partly_explained(document: Document) -> str:
@@ -233,10 +238,10 @@ def headline(document: Document, cause: str, worth: Worth, of_arm: bool) -> str:
         if of_arm:
             how = "compensated"
         remedy = f"with {counted_findings} findings {how}"
-    noise_left = ""
+    remainder = ""
     if document["verdict"] == "explained":
-        noise_left = f", the {words_of(document).noise_of} noise"
-    return f"{capital(cause)}: {share}; {remedy}, {worth.after} {unit} is left{noise_left}."
+        remainder = f", {noise_left(document)}"
+    return f"{capital(cause)}: {share}; {remedy}, {worth.after} {unit} is left{remainder}."
 
 
 def nothing_found(document: Document, error: str) -> str:
@@ -249,7 +254,7 @@ def nothing_found(document: Document, error: str) -> str:
         key = words_of(document).noise_key
         return f"no effect is significant, and the error of {error} looks like noise; declare {key} to test this."
     if verdict == "consistent":
-        return f"nothing is missing from the model: the error of {error} is the {words_of(document).noise_of} noise."
+        return f"nothing is missing from the model: the error of {error} is {noise_left(document)}."
     if verdict != "undetermined":
         source = words_of(document).measured
         return f"the error of {error} is not the noise of the {source} alone, and nothing explains it."
