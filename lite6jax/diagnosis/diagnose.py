@@ -355,6 +355,8 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             return "separable"
         if effect.periodic and labels[0] == labels[1]:
             return "undecided"  # another order of the same wave
+        if isinstance(effect, Unnamed) and effect.memory is not None:
+            return "undecided"  # its functions span any sequence of samples, which the same poses in another order show
         if _differ(self.selection, k, effect):
             return "undecided"
         return "equivalent"

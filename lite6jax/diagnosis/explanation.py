@@ -235,8 +235,7 @@ def _with_wandering(explanation: Explanation) -> Explanation:
         return explanation
     problem = explanation.problem
     time = problem.motion.time
-    corners = np.array([effect.rolloff[0] for effect in problem.wandering])
-    memories = 1 / (np.pi * corners)  # over the length of the recording
+    memories = np.array([effect.memory for effect in problem.wandering])
     length = None if time is None else float(np.ptp(np.asarray(time)))
     fault = DataFault("wandering_readout", (), {
         "joints": [place_of(effect.where)[1] for effect in problem.wandering],

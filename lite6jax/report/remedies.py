@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from lite6jax.deferred import import_lazily
-from lite6jax.formatting import joined, ranges
+from lite6jax.formatting import joined, ranges, significant
 from lite6jax.report.words import fill, read_texts
 
 with import_lazily():  # which imports the domains; a list of effects does without
@@ -150,6 +150,8 @@ def effect_title(entry: Entry) -> str:
     """An effect in words, such as "joint harmonic of order 2 at joint1"."""
     site = entry["site"]
     where = entry.get("where", {})
+    if wanders(entry):
+        return f"a read-out of {site} that wanders by itself{_memory(entry)}"
     if entry["effect"] == "unnamed" and "driver" in entry:
         driver = entry["driver"].removesuffix(f" of {spaced(site)}")
         at_site = driver != entry["driver"] and " and " not in driver
@@ -157,6 +159,21 @@ def effect_title(entry: Entry) -> str:
         return f"unnamed effect at {site}{component(where or entry)} as a function of {of}"
     further = "".join(f" with another{detail(other)}" for other in entry.get("together_with", ()))
     return f"{effect_name(entry['effect'])}{detail(entry)}{further} at {site}"
+
+
+def wanders(entry: Entry) -> bool:
+    """Whether an effect is what a read-out does by itself, which nothing recorded drives."""
+    return entry["effect"] == "unnamed" and entry.get("driver") == "order of recording"
+
+
+def _memory(entry: Entry) -> str:
+    """For how long what wanders remembers, where that is known."""
+    seconds = entry.get("memory_s")
+    if seconds is not None:
+        return f" with a memory of {significant(seconds, 2)} s"
+    if "memory_samples" in entry:
+        return f" with a memory of {significant(entry['memory_samples'], 2)} rows"
+    return ""
 
 
 def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:

@@ -35,6 +35,7 @@ from lite6jax.report.remedies import (
     effect_name,
     effect_title,
     shape,
+    wanders,
     with_articles,
 )
 from lite6jax.report.reports import own_report
@@ -289,6 +290,8 @@ def what_to_record(document: Document) -> list[str]:
         for rival in distinct_rivals(finding):
             if rival["status"] == "separable":
                 lines.append(fill(texts["separable"], subject, other=effect_title(rival)))
+            elif rival["status"] == "undecided" and wanders(rival):
+                lines.append(fill(texts["wandering"], subject, other=effect_title(rival)))
             elif rival["status"] == "undecided" and not _of_one_wave(finding, rival):
                 undecided.append(rival)
         if near := undecided[:_NEAREST]:

@@ -272,6 +272,23 @@ def test_a_fault_that_may_be_there_instead_is_said_beside_the_effects(undecided,
     ]
 
 
+@pytest.mark.parametrize(("time", "memory"), [(np.linspace(0.0, 500.0, 200), "160 s"), (None, "64 rows")])
+def test_a_read_out_that_wanders_is_an_alternative_with_its_memory(compliant, drawn, time, memory):
+    corner = 1 / (0.32 * np.pi)
+    wander = Unnamed("joint3", "order of recording", 0.0, 1.0, "wander", spread=1e-4, rolloff=(corner, 2.0))
+    recording = replace(compliant.problem.recording, time=time)
+    found = replace(with_rivals(compliant, (wander, 1.5)), problem=replace(compliant.problem, recording=recording))
+    other = f"a read-out of joint3 that wanders by itself with a memory of {memory}"
+    text, (_, said) = page(found, drawn), screen(found, width=60)
+    for shown in (text, said):
+        assert f"Not distinguished from {other} (log evidence -1.5)." in shown
+        assert (
+            f"To separate joint compliance at joint2 from {other}, record the same poses again in another order, and "
+            "the temperatures of the joints."
+        ) in shown
+        assert "order of recording" not in shown
+
+
 def test_what_no_recording_would_change_comes_last(undecided):
     document = documented(undecided)
     for rival in document["findings"][0]["confusable_with"]:
