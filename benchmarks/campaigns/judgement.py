@@ -119,7 +119,7 @@ def admits(effect: Row, finding: Row) -> bool:
 
 def _effects_among(finding: Row) -> list[Row]:
     """The alternatives of a finding that are effects; others are faults of the data."""
-    return [rival for rival in finding.get("confusable_with", ()) if "effect" in rival]
+    return [rival for rival in finding.get("confusable_with", ()) if "fault" not in rival]
 
 
 def named_by_faults(diagnosis: Row, hidden: Sequence[Row]) -> list[Row]:

@@ -522,7 +522,8 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
 def _fault_alternative(effect: Effect, alternative: FaultAlternative) -> dict[str, Any]:
     """A fault that may be there in place of an effect, with the other effects that it would explain or need."""
-    entry: dict[str, Any] = {"fault": alternative.fault.code, "numbers": alternative.numbers}
+    code = alternative.fault.code
+    entry: dict[str, Any] = {"effect": code, "site": "recording", "fault": code, "numbers": alternative.numbers}
     others = alternative.others(effect)
     if others:
         entry["instead_of"] = [_stated_effect(other) for other in others]

@@ -114,7 +114,7 @@ def distinct_rivals(finding: Entry) -> list[Entry]:
 
     What depends on a further driver beside those of the finding, or of a nearer one, is left out: it contains this one.
     """
-    rivals = [alternative for alternative in alternatives_of(finding) if "effect" in alternative]
+    rivals = [alternative for alternative in alternatives_of(finding) if "fault" not in alternative]
     distinct = []
     driver_sets = []
     if finding["effect"] == "unnamed":

@@ -228,7 +228,7 @@ def rivals(finding: Entry, rejected: bool = False) -> list[str]:
 
 def _alternative_title(entry: Entry) -> str:
     """An effect, or a fault of the data with the other effects that it would explain, in words."""
-    if "effect" in entry:
+    if "fault" not in entry:
         return effect_title(entry)
     title = fault_alternative(entry)
     others = [effect_title(other) for other in entry.get("instead_of", ())]
@@ -276,7 +276,7 @@ def what_to_record(document: Document) -> list[str]:
     findings = ranking.detailed(document)
     for finding in findings:
         subject = {"one": effect_title(finding), "site": finding["site"]}
-        waves = [rival for rival in finding["confusable_with"] if "effect" in rival and _of_one_wave(finding, rival)]
+        waves = [rival for rival in finding["confusable_with"] if "fault" not in rival and _of_one_wave(finding, rival)]
         open_waves = [rival for rival in waves if rival["status"] == "undecided"]
         if orders := [f"{rival['order']:.6g}" for rival in open_waves if "together_with" not in rival]:
             lines.append(fill(texts["orders"], subject, orders=orders))
