@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from lite6jax.effects.effect import Effect
+from lite6jax.estimation.terms import is_process
 from lite6jax.recordings.fault import DataFault
 
-_SAME_ORDER = 0.1
-"""By how much orders of one wave differ between two fits, at most."""
+_SAME_NUMBER = 0.1
+"""By how much the chosen numbers of one effect, such as the orders of a wave, differ between two fits, at most."""
 _COMPARED = ("rival_terms", "log_likelihood_gap")
 """Numbers of a fault that compare it with physics, which an alternative says of itself."""
 
@@ -59,12 +60,8 @@ def _is_same(effect: Effect, other: Effect) -> bool:
     """Whether two fits call an effect alike: numbers that were chosen for it may differ a little."""
     if (effect.label, effect.drivers, _component(effect)) != (other.label, other.drivers, _component(other)):
         return False
-    return abs(_order(effect) - _order(other)) < _SAME_ORDER
+    return abs((effect.chosen or 0.0) - (other.chosen or 0.0)) < _SAME_NUMBER
 
 
 def _component(effect: Effect) -> str:
-    return getattr(effect, "component", "")
-
-
-def _order(effect: Effect) -> float:
-    return getattr(effect, "order", None) or 0.0
+    return effect.component if is_process(effect) else ""
