@@ -324,6 +324,9 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
     limit does: names come first. They are those that were found in long steps, where these describe all joints in short
     ones too, and else those of a search of names alone. That is judged in the noise beside the servo that comes nearest
     without them: a stiff one beside a limit counts all that a softer servo does as well.
+
+    What functions may depend on is along the rollout, as beside declared servos: loads along the measured motion hold
+    the noise of its read-outs, and functions of them explain that noise.
     """
     rough = named.problem
     assert isinstance(rough, TrackingProblem)
@@ -334,7 +337,7 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
     exact = with_likely_grip(exact, f.terms, f.values)
     judged = fit(replace(exact, data=described.data), f.terms, options.rough, f.values, training=problem.valid)
     if np.all(judged.scale < _FOLLOWS):
-        exact = _with_discrepancy(exact)
+        exact = along_rollout(_with_discrepancy(exact), f.terms, f.values)
         again = fit(exact, f.terms, options.rough, f.values, training=problem.valid)
         # a servo that fits best without these names may be far from the one beside them
         refitted_names = replace(named, problem=exact, reference=exact, state=replace(named.state, fit=again))
@@ -344,7 +347,8 @@ def _exactly(problem: TrackingProblem, named: Selection, options: EngineOptions)
     there = named.problem
     assert isinstance(there, TrackingProblem)
     gripped = with_likely_grip(there.relinearised(f.nuisance), f.terms, f.values)
-    return _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip))), named.start
+    exact = _with_discrepancy(replace(likely, servo=likely.servo._replace(grip=gripped.servo.grip)))
+    return along_rollout(exact, Terms(), np.zeros(0)), named.start
 
 
 def _with_discrepancy(problem: TrackingProblem) -> TrackingProblem:
