@@ -310,6 +310,14 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         end = finding.effect.component if finding.effect.unit == "1" else finding.effect.unit
         return {f"peak_to_peak_{end}": size}
 
+    def _finding(self, k: int) -> dict[str, Any]:
+        effect = self.findings[k].effect
+        entry = super()._finding(k)
+        if isinstance(effect, Unnamed) and effect.covariance.undriven:
+            memory = self.problem.memory_of(effect)
+            entry["wanders"] = {"memory_samples": memory.samples, "memory_s": memory.seconds}
+        return entry
+
     @property
     def _too_few(self) -> bool:
         if self.problem.samples < FEWEST_ROWS:
