@@ -153,12 +153,12 @@ class PoseWords(SectionWords):
 
     def _wandering(self, finding: Entry, numbers: str, component: str) -> str:
         wanders = finding["wanders"]
-        memory = f"{significant(wanders['memory_samples'])} rows"
+        memory = f"{significant(wanders['memory_samples'], 2)} rows"
         if wanders["memory_s"] is not None:
-            memory = f"{significant(wanders['memory_s'])} s"
+            memory = f"{significant(wanders['memory_s'], 2)} s"
         return (
-            f"An effect at {finding['site']}{component} wanders by itself, with a memory of {memory}. Nothing that was "
-            f"recorded drives it, and another recording has another one: {numbers}"
+            f"An effect at {finding['site']}{component} wanders by itself, with a memory of about {memory}. Nothing "
+            f"that was recorded drives it, and another recording has another one: {numbers}"
         )
 
     def rivals(self, entries: Sequence[tuple[str, Entry]]) -> list[str]:
