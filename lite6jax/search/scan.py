@@ -777,22 +777,21 @@ class ModelScan:
 
         They have a memory of a fifth of the recording at most: what varies more slowly is a function of the time.
         """
-        if not self._scan.has_order:
+        hidden = [component for component in self.components if not self._scan.is_read_out(component.site)]
+        if not self._scan.has_order or not hidden:
             return []
         present = self._test.fit.terms.terms
-        rough = list[tuple[float, Component]]()
-        for component in self.components:
-            if self._scan.is_read_out(component.site):
-                continue
+        costs = []
+        for component in hidden:
             cost = self._scan.cost_of_wander_beside(component.site, present)
             if cost is None:
                 cost = self._scan.cost_of_process(component.site, (self._scan.drivers,))
-            rough.append((_ROUGH * self._rough_gain_of_wander(component) - cost, component))
-        rough.sort(key=lambda pair: -pair[0])
+            costs.append(cost)
+        rough = _ROUGH * self._rough_gains_of_wander(hidden) - costs
         candidates = []
-        for net, component in rough[:_HIDDEN]:
-            if net > 0:
-                candidates += self._of_wander(component)
+        for place in np.argsort(-rough)[:_HIDDEN]:
+            if rough[place] > 0:
+                candidates += self._of_wander(hidden[place])
         return _best_of_each(candidates)
 
     def _of_wander(self, component: Component) -> list[Ranked]:
@@ -800,21 +799,33 @@ class ModelScan:
         wandering = self._of_rolloffs(component, self._scan.drivers, exact=True)
         return wandering if self._scan.is_read_out(component.site) else _of_short_memory(wandering)
 
-    def _rough_gain_of_wander(self, component: Component) -> float:
-        """The evidence of what wanders at a component, as if its waves had nothing in common."""
+    def _rough_gains_of_wander(self, components: Sequence[Component]) -> Array:
+        """The evidence of what wanders at each component, as if its waves had nothing in common."""
         k = self._scan.drivers
-        gains = []
+        bounds = self._scan.quantities[k].bounds
+        gains = np.zeros(len(components))
+        all_sums = [self._sums(component) for component in components]
         for name in _UNDRIVEN:
             kernel = KERNELS[name]
-            functions = self._scan.features((k,), name)[None]
-            (pull,), (information,), residual_sum, freedom = self._equations(component, functions, [((k,), name, ())])
-            sizes = np.zeros((len(kernel.grid), len(pull)))
-            for row, numbers in zip(sizes, kernel.grid, strict=True):
-                deviations = kernel.deviations(self._scan.quantities[k].bounds, numbers)
+            functions = self._scan.features((k,), name)
+            grid = [numbers for numbers in kernel.grid if numbers[0] >= _LEAST_CORNER]
+            sizes = np.zeros((len(grid), len(functions)))
+            for row, numbers in zip(sizes, grid, strict=True):
+                deviations = kernel.deviations(bounds, numbers)
                 row[: len(deviations)] = deviations
-            variances = np.diagonal(information) * sizes**2
-            gains.append(best_amplitude(variances, (pull * sizes) ** 2, residual_sum, freedom).gain.max())
-        return float(max(gains))
+            pulls = np.stack([functions @ sums.pull for sums in all_sums])
+            informations = np.stack(
+                [
+                    self._marginal.information_of_each(sums, functions, (component.site, component.name, name, "each"))
+                    for component, sums in zip(components, all_sums, strict=True)
+                ]
+            )
+            residual_sums = np.array([sums.left for sums in all_sums])[:, None, None, None]
+            freedoms = np.array([sums.freedom for sums in all_sums])[:, None, None, None]
+            variances = np.maximum(informations, 0.0)[:, None] * sizes**2
+            squares = (pulls[:, None] * sizes) ** 2
+            gains = np.maximum(gains, best_amplitude(variances, squares, residual_sums, freedoms).gain.max(1))
+        return gains
 
     def _steps(self, component: Component) -> list[Ranked]:
         """The likeliest jump in time of a read-out; none where no time is known.
