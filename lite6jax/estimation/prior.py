@@ -64,8 +64,8 @@ class Prior:
     # what nobody recorded, besides the four kinds
     hidden_state: float = option(
         0.02,
-        "a link, the base, the tool or the sensor wanders by itself, any component of any of them",
-        "one recording in fifty: an encoder at which the same shows is the likelier",
+        "what is no read-out wanders by itself, any component of any site",
+        "one recording in fifty: a read-out at which the same shows is the likelier",
     )
     time_itself: float = option(
         1 / 400,
