@@ -8,6 +8,7 @@ from lite6jax.diagnosis.diagnose import diagnose_poses
 from lite6jax.diagnosis.document import model_from_document
 from lite6jax.diagnosis.export import diagnosed_chain
 from lite6jax.diagnosis.options import QUICK
+from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.report.statements import findings_of
 from lite6jax.search.scan import Scan
@@ -51,10 +52,13 @@ def test_a_sensor_that_wanders_is_a_hidden_state_that_nothing_recorded_drives(di
 
 def test_what_wandered_once_is_zero_and_unknown_in_a_prediction(diagnosis):
     model = model_from_document(diagnosis.to_dict())
+    assert isinstance(model, DiagnosedArm)
     predicted = model.predicted(diagnosis.recording)
     bare = model.without("unnamed").predicted(diagnosis.recording)
     np.testing.assert_allclose(predicted.poses, bare.poses, rtol=0, atol=1e-12)
     np.testing.assert_allclose(model.pose(diagnosis.recording.joint_position), bare.poses, rtol=0, atol=1e-9)
+    assert predicted.position_std is not None
+    assert predicted.outside is not None
     assert np.median(predicted.position_std[:, 2]) == pytest.approx(SIZE, rel=0.5)
     assert predicted.outside.mean() < 0.2
 
@@ -74,6 +78,7 @@ def test_a_function_of_the_time_costs_six_nats_more_than_what_wanders_there(tmp_
     made = Made(tmp_path, seed=1)
     motion = moving_motion(1, 60)
     scan = Scan(pose_problem(made.recording(motion, poses=made.poses(motion))), OPTIONS)
+    assert scan.time is not None
     for site in ("joint2", "base", "sensor"):
         wander, of_time = (scan.cost_of_process(site, (k,)) for k in (scan.drivers, scan.time))
         assert of_time - wander == pytest.approx(np.log(400))
