@@ -116,7 +116,7 @@ DRIVERS = {
     "time": ("t", "since the recording began", "`time_s`"),
     "order of recording": (
         "k",
-        "from 0 at the first row to 1 at the last: a read-out may wander along it by itself, which no other driver is",
+        "from 0 at the first row to 1 at the last: what nothing recorded drives may wander along it",
         "the rows in their order",
     ),
     "payload": ("m", "the mass at the flange", "`payload_kg`"),

@@ -319,6 +319,15 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         end = finding.effect.component if finding.effect.unit == "1" else finding.effect.unit
         return {f"peak_to_peak_{end}": size}
 
+    def _finding(self, k: int) -> dict[str, Any]:
+        return {**super()._finding(k), **self._wandering(self.findings[k].effect)}
+
+    def _wandering(self, effect: Effect) -> dict[str, Any]:
+        if not (isinstance(effect, Unnamed) and effect.covariance.undriven):
+            return {}
+        memory = self.problem.memory_of(effect)
+        return {"wanders": {"memory_samples": memory.samples, "memory_s": memory.seconds}}
+
     @property
     def _too_few(self) -> bool:
         if self.problem.samples < FEWEST_ROWS:
@@ -355,7 +364,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
             return "separable"
         if effect.periodic and labels[0] == labels[1]:
             return "undecided"  # another order of the same wave
-        if isinstance(effect, Unnamed) and effect.memory is not None:
+        if isinstance(effect, Unnamed) and effect.covariance.undriven:
             return "undecided"  # its functions span any sequence of samples, which the same poses in another order show
         if _differ(self.selection, k, effect):
             return "undecided"

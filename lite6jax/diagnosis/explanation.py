@@ -234,14 +234,12 @@ def _with_wandering(explanation: Explanation) -> Explanation:
     if not wandering:
         return explanation
     problem = explanation.problem
-    time = problem.motion.time
-    memories = np.array([effect.memory for effect in problem.wandering])
-    length = None if time is None else float(np.ptp(np.asarray(time)))
+    memories = [problem.memory_of(effect) for effect in problem.wandering]
     fault = DataFault("wandering_readout", (), {
         "joints": [place_of(effect.where)[1] for effect in problem.wandering],
         "std_rad": [effect.spread for effect in problem.wandering],
-        "memory_samples": (memories * problem.samples).tolist(),
-        "memory_s": None if length is None else (memories * length).tolist(),
+        "memory_samples": [memory.samples for memory in memories],
+        "memory_s": None if problem.motion.time is None else [memory.seconds for memory in memories],
         "log_likelihood_gap": [selected_term.gain for selected_term in wandering],
     })  # fmt: skip
     return replace(explanation, screened=replace(explanation.screened, found=(*explanation.screened.found, fault)))

@@ -105,7 +105,8 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
             if any(np.any(np.asarray(field)) for field in (deflection.stretch, deflection.scale, deflection.sensor)):
                 deflection = None
         if deflection is None:
-            left_out.append(f"{effect.name.replace('_', ' ')} at {effect.site}")
+            wanders = ", which wanders by itself" if any(driver.is_order for driver in effect.drivers) else ""
+            left_out.append(f"{effect.name.replace('_', ' ')} at {effect.site}{wanders}")
         else:
             total = total + deflection
     joint, link, base, tool = (np.array(field)[..., 0] for field in (total.joint, total.link, total.base, total.tool))

@@ -24,12 +24,14 @@ from lite6jax.diagnosis.result import Finding, HeldOut, SearchedAgain, Withdrawn
 from lite6jax.domains.base import DomainProblem
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.effects.effect import Effect
+from lite6jax.effects.kernels import memory_of
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Mask, Problem
 from lite6jax.recordings.sequence import contiguous_blocks
+from lite6jax.search.scan import is_wander
 from lite6jax.search.search import Selection, at_estimate
 from lite6jax.search.state import State, fitted_again
 
@@ -87,15 +89,17 @@ def fold_count(samples: int, options: Options, needed: int = 0) -> int:
     return count
 
 
-def spread_folds(folds: Sequence[Mask], noise: NoiseModel) -> list[Mask]:
+def spread_folds(folds: Sequence[Mask], noise: NoiseModel, memory: float = np.inf) -> list[Mask]:
     """As many sets of rows `(sample,)` as these contiguous ones, each of up to `_SPREAD_BLOCKS` blocks over all rows.
 
-    A block is several autocorrelation times of the noise long, so that the rows beside it do not know its noise.
+    A block is several autocorrelation times of the noise long, so that the rows beside it do not know its noise; and,
+    where that allows, half the memory of what wanders by itself, so that these rows know something of it.
     """
     count = len(folds)
     samples = folds[0].size
     long = max(BLOCK_TIMES * model.time if model.share else 1.0 for model in noise.models)
-    blocks = contiguous_blocks(samples, count * int(np.clip(samples / long / count, 1, _SPREAD_BLOCKS)))
+    most = max(_SPREAD_BLOCKS, int(2 * samples / memory / count))
+    blocks = contiguous_blocks(samples, count * int(np.clip(samples / long / count, 1, most)))
     return [np.any(blocks[number::count], 0) for number in range(count)]
 
 
@@ -200,7 +204,8 @@ def verify(
     searched = judge(errors, selection, kept, folds) if selected_findings else Judgement(False, 1.0)
     if not searched.rejects:
         return Verification(selection, errors, folds, selected_findings)
-    spread = spread_folds(folds, state.fit.noise)
+    memories = [memory_of(tested.term.rolloff) for tested in state.tested if is_wander(tested.term)]
+    spread = spread_folds(folds, state.fit.noise, min(memories, default=np.inf) * folds[0].size)
     again = refitted(spread)
     if judge(again, selection, kept, spread).rejects:
         # the nuisance alone, as it was fitted without the effects
@@ -264,14 +269,26 @@ def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequ
             return False
 
     def times_fitted(of_all: Array, problem: Problem, fit: Fit) -> float:
-        """Root mean square over that of the fitted rows, corrected for the degrees of freedom."""
+        """Root mean square over that of the fitted rows, corrected for the degrees of freedom.
+
+        Fitted rows know what wandered while they were recorded, and others cannot: that is in the errors of both.
+        """
         share = fit.freedom / (problem.rows * fit.training.sum())
-        fitted = np.sum(_errors(problem, fit)[1][0, kept] ** 2) / share
+        fitted = np.sum(_errors(problem, _without_wandering(fit))[1][0, kept] ** 2) / share
         return float(np.sqrt(np.sum(of_all[kept] ** 2) / max(fitted, 1e-300)))
 
     state = selection.state
     bare = times_fitted(before, selection.reference, state.baseline)
     return times_fitted(after, selection.problem, state.fit) > max(_LARGEST_EXCESS, bare)
+
+
+def _without_wandering(fit: Fit) -> Fit:
+    """The same numbers, but zero of what wanders by itself."""
+    values = fit.values.copy()
+    for term, part in zip(fit.terms.terms, fit.terms.slices, strict=True):
+        if is_wander(term):
+            values[part] = 0.0
+    return replace(fit, values=values)
 
 
 def _ratio(before: Array, after: Array) -> float:

@@ -503,21 +503,16 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
             status = "found"
             if effect not in self.fit.terms.terms:
                 status = self._distinction(k, effect)
-        entry = {**_stated_effect(effect), **self._memory(effect)}
+        entry = {**_stated_effect(effect), **self._wandering(effect)}
         if alternative.together_with:
             entry["together_with"] = [
                 _stated_effect(other) for other in alternative.together_with if isinstance(other, Effect)
             ]
         return {**entry, "log_likelihood_gap": alternative.gap, "status": status}
 
-    def _memory(self, effect: Effect) -> dict[str, float | None]:
-        """For how long a read-out that wanders remembers, in samples and in s; s are None without times."""
-        share = getattr(effect, "memory", None)
-        if share is None:
-            return {}
-        time = self.recording.time
-        seconds = None if time is None else share * float(np.ptp(time))
-        return {"memory_samples": share * self.recording.samples, "memory_s": seconds}
+    def _wandering(self, effect: Effect) -> dict[str, Any]:
+        """Of an effect that wanders by itself the entry with its memory; else, and of most domains, nothing."""
+        return {}
 
 
 def _fault_alternative(effect: Effect, alternative: FaultAlternative) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from lite6jax.domains.pose.problem import ONCE_PER_TURN, PoseProblem
 from lite6jax.domains.torque.predict import driver_values, link_sites, shown_torques, with_free_numbers
 from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
+from lite6jax.effects.motion import in_another_recording
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.problem import Mask, prior_precision
 from lite6jax.estimation.projection import scaled_inverse
@@ -83,6 +84,9 @@ def uncertainty_of_poses(
     estimated = _variance(J, C)
     model_error, unseen, noise = _left_of_poses(problem, fit, estimated, kept, after, len(folds))
     usable_rows = np.flatnonzero(kept) if kept.any() else np.arange(problem.samples)
+    if any(driver.is_order for effect in model.physics.effects for driver in effect.drivers):
+        # what wanders is as unknown in these postures as in any other recording
+        estimated = Derivatives(model, in_another_recording(problem.motion), sites).variance(C)
     typical = np.sqrt([np.median(rows.mean(0)) for rows in np.split(estimated[:, usable_rows], 2)] + model_error**2)
     q = problem.recording.joint_position
     # of those that a model keeps, from which the distance is measured

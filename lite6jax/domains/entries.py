@@ -165,8 +165,8 @@ class Document(msgspec.Struct, Generic[M], kw_only=True):
 
 
 def effect_entry(effect: Effect) -> dict[str, Any]:
-    """Which effect, where, and of what."""
-    driver = " and ".join(driver.phrase for driver in effect.drivers) or "none"
+    """Which effect, where, and of what: of nothing recorded where it wanders by itself."""
+    driver = " and ".join(driver.phrase for driver in effect.drivers if not driver.is_order) or "none"
     return {"effect": effect.name, "site": effect.site, "driver": driver}
 
 

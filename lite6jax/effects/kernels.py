@@ -73,7 +73,7 @@ class Kernel(ABC):
         varies_fast: whether a search weighs it exactly at once in autocorrelated noise.
         takes_driver: whether another driver may join its own, in one process of both.
         hysteretic: whether it depends on the way to a value of its driver.
-        undriven: whether it is what a read-out does by itself, so that its driver is the order of recording.
+        undriven: whether it is what wanders by itself, so that its driver is the order of recording.
         of_gear: whether it is the errors of a gear, which do not depend on loads or postures.
         apart: whether names and processes at its site are distinguishable from it.
     """
@@ -391,6 +391,7 @@ class _Wander(_Orders):
     With the memory m in a recording of length T it has the spectrum 1 / (1 + (k / c)²) of its half-waves k > 0,
     c = T / (π m). Its mean over the recording has the variance 2μ (1 − μ (1 − exp(−1/μ))), μ = m / T. Corners are
     half-waves over the recording: memories of 1.3 recordings, of a half, a fifth, a 13th, a 31st and a 75th of one.
+    In another recording, whose order is beyond the bounds, it is zero, and as unknown as before any data.
     """
 
     prior = "wandering"
@@ -400,8 +401,14 @@ class _Wander(_Orders):
     apart = True
 
     def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+        xp = library_of(values)
         place = (values - bounds[0]) / (bounds[1] - bounds[0])
-        return library_of(values).cos(np.pi * np.arange(self.size(bounds, rolloff))[:, None] * place)
+        waves = xp.cos(np.pi * np.arange(self.size(bounds, rolloff))[:, None] * place)
+        return xp.where((place >= 0) & (place <= 1), waves, 0.0)
+
+    def unknown(self, values: Array, bounds: Floats) -> Array:
+        xp = library_of(values)
+        return xp.where((values[0] >= bounds[0]) & (values[0] <= bounds[1]), 0.0, 1.0)
 
     def size(self, bounds: Floats, rolloff: Floats = ()) -> int:
         return 1 + (min(int(np.ceil(_CORNERS * rolloff[0])), _FASTEST) if rolloff else _FASTEST)
@@ -611,6 +618,12 @@ def kernel_of(name: str) -> Kernel:
     if kernel is None:
         raise InputError(f"no kernel is called {name!r}; give one of {', '.join(KERNELS)}, or two that are joined by *")
     return kernel
+
+
+def memory_of(rolloff: Floats) -> float:
+    """The memory of what wanders by itself, over the length of the recording."""
+    corner, _ = rolloff
+    return 1 / (np.pi * corner)
 
 
 def is_kernel(name: str, drivers: int) -> bool:

@@ -14,6 +14,8 @@ from lite6jax.errors import InputError
 _HALF_WINDOW = 0.05
 """s, half the window of `accelerated`: encoder noise dominates a shorter one, and a longer one smooths the motion."""
 
+_ELSEWHERE = 2.0
+"""Of the order of recording, which is from 0 to 1: any value beyond."""
 _LEAST_REVERSAL = 1e-4
 """rad: a joint that moves back by less did not reverse."""
 
@@ -53,7 +55,7 @@ class Motion(NamedTuple):
         measured_position: `(3, sample)` m, where the sensor shows the tool of the rigid arm, in its own frame.
         sliding: the prismatic joints.
         sequence: `(sample,)` from 0 to 1, when each sample was recorded: by its time where that is known, one run after
-            another.
+            another. Beyond 1 in another recording than that of which something is known.
         command_velocity: `(joint, sample)` rad/s, at which the commands of a log change.
     """
 
@@ -186,6 +188,11 @@ def _sequence(time: np.ndarray | None, first: np.ndarray) -> np.ndarray:
     if elapsed[-1] <= 0:
         return np.linspace(0.0, 1.0, len(first))
     return elapsed / elapsed[-1]
+
+
+def in_another_recording(motion: Motion) -> Motion:
+    """The motion as one of which a recording does not say what wandered by itself."""
+    return motion._replace(sequence=jnp.full(motion.samples, _ELSEWHERE))
 
 
 @jit

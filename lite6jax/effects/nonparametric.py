@@ -1,6 +1,5 @@
 """Nonparametric effects: at one site, a Gaussian process of one driver or of two."""
 
-import math
 import re
 from abc import ABC, abstractmethod
 from functools import lru_cache
@@ -127,13 +126,6 @@ class Process(Effect, ABC):
     def hysteretic(self) -> bool:
         """Whether it depends on the way to a value of its driver."""
         return self.covariance.hysteretic
-
-    @property
-    def memory(self) -> float | None:
-        """For how long what wanders by itself remembers, as a share of the recording; None of other processes."""
-        if not self.covariance.undriven:
-            return None
-        return 1 / (math.pi * self.rolloff[0])
 
     def values_at(self, motion: Motion, loads: Loads | None) -> Array:
         """The values of the drivers, `(driver, sample)`."""

@@ -250,6 +250,22 @@ class Marginal:
             return table[key]
         return table[key] - self.test.span.sign @ added_up(sums.inside) ** 2
 
+    def information_of_each(self, sums: Sums, functions: Array, key: Hashable) -> Array:
+        """The information `(function,)` of functions `(function, sample)` at a site, each alone.
+
+        Args:
+            sums: of the site.
+            functions: which.
+            key: what they are at which site.
+        """
+        table = self._whole.test.table
+        if key not in table:
+            inside = functions @ self._whole.sums(sums.column).inside.T
+            table[key] = functions**2 @ sums.weight - np.sum(inside**2, 1)
+        if self._whole is self:
+            return table[key]
+        return table[key] - (functions @ sums.inside.T) ** 2 @ self.test.span.sign
+
     def of_noise(self, column: Array) -> Evidence:
         """The evidence that a component moves by a number of its own in each sample: the site is known, its cause not.
 

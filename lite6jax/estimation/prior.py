@@ -61,6 +61,17 @@ class Prior:
     jump: float = option(
         1 / 300, "a read-out jumps once, any of them, at any sample", "one file in 300, as a data fault"
     )
+    # what nobody recorded, besides the four kinds
+    hidden_state: float = option(
+        0.02,
+        "what is no read-out wanders by itself, any component of any site",
+        "one recording in fifty: a read-out at which the same shows is the likelier",
+    )
+    time_itself: float = option(
+        1 / 400,
+        "what wanders is a function of the time, against that nobody recorded what drives it",
+        "time drives nothing: a likelihood ratio of six nats is asked for",
+    )
     # what was declared
     wrong_input: float = option(0.1, "a declared input such as a load is wrong", "one case in ten")
     calibration_off: float = option(0.1, "all numbers of the calibration file are off a little", "one file in ten")

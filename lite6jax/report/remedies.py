@@ -48,11 +48,15 @@ _SENSOR = "Calibrate the sensor, of a camera its lens too, let it warm up, or re
 
 _OWN = Remedy("{place} has {effect}", "It is an effect of your own; its model is part of the diagnosis.")
 _OF_SLIDE, _SHAPES = (read_texts("remedies.yaml")[name] for name in ("slides", "shapes"))
+_WANDERING = Remedy(**read_texts("remedies.yaml")["wandering"], of_arm=False)
+"""Of what wanders by itself: it is another one at the next visit."""
 _PLACES = {"links": "the arm"} | {site: f"the {site}" for site in ("clock", "sensor", "base", "tool", "payload")}
 
 
 def remedy_of(entry: Entry) -> Remedy:
     """The remedy of a finding with its `domain`, that of a user's own effect where no catalogue has it."""
+    if wanders(entry):
+        return _WANDERING
     exerted = _exerted(entry)
     remedy = REMEDIES[entry["domain"]].get(entry["effect"], _OWN)
     if entry["site"] in ("sensor", "clock"):
@@ -117,16 +121,21 @@ def distinct_rivals(finding: Entry) -> list[Entry]:
     rivals = [alternative for alternative in alternatives_of(finding) if "fault" not in alternative]
     distinct = []
     driver_sets = []
-    if finding["effect"] == "unnamed":
+    if finding["effect"] == "unnamed" and not wanders(finding):
         driver_sets = [set(drivers_of(finding))]
     for rival in rivals:
-        if rival["effect"] == "unnamed":
+        if rival["effect"] == "unnamed" and not wanders(rival):
             drivers = set(drivers_of(rival))
             if any(drivers > fewer for fewer in driver_sets):
                 continue
             driver_sets.append(drivers)
         distinct.append(rival)
     return distinct
+
+
+def wanders(entry: Entry) -> bool:
+    """Whether an effect is one that nothing recorded drives."""
+    return entry["effect"] == "unnamed" and entry.get("driver") == "none"
 
 
 def place_of(site: str) -> str:
@@ -151,7 +160,9 @@ def effect_title(entry: Entry) -> str:
     site = entry["site"]
     where = entry.get("where", {})
     if wanders(entry):
-        return f"a read-out of {site} that wanders by itself{_memory(entry)}"
+        if site.startswith("joint"):
+            return f"a read-out of {site} that wanders by itself{_memory(entry)}"
+        return f"unnamed effect at {site}{component(where or entry)} that wanders by itself{_memory(entry)}"
     if entry["effect"] == "unnamed" and "driver" in entry:
         driver = entry["driver"].removesuffix(f" of {spaced(site)}")
         at_site = driver != entry["driver"] and " and " not in driver
@@ -161,19 +172,14 @@ def effect_title(entry: Entry) -> str:
     return f"{effect_name(entry['effect'])}{detail(entry)}{further} at {site}"
 
 
-def wanders(entry: Entry) -> bool:
-    """Whether an effect is what a read-out does by itself, which nothing recorded drives."""
-    return entry["effect"] == "unnamed" and entry.get("driver") == "order of recording"
-
-
 def _memory(entry: Entry) -> str:
     """For how long what wanders remembers, where that is known."""
-    seconds = entry.get("memory_s")
-    if seconds is not None:
-        return f" with a memory of {significant(seconds, 2)} s"
-    if "memory_samples" in entry:
-        return f" with a memory of {significant(entry['memory_samples'], 2)} rows"
-    return ""
+    memory = entry.get("wanders")
+    if memory is None:
+        return ""
+    if memory["memory_s"] is not None:
+        return f" with a memory of {significant(memory['memory_s'], 2)} s"
+    return f" with a memory of {significant(memory['memory_samples'], 2)} rows"
 
 
 def by_site(entries: Iterable[Entry]) -> list[tuple[str, str]]:

@@ -11,6 +11,9 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | a wave beside one of its angle, a multiple or a part of it | even odds of twice or half; else ln 2 and ln of these |
 | a read-out that wanders | ln of these, ln of the memories |
 | one that wanders where another of its kind does | −ln p, ln of the memories |
+| a hidden state: another component that wanders | −ln p, ln of these, ln of the memories |
+| one at a site that has one | ln of its components, ln of the memories |
+| a function of the time, beside an order of recording | −ln p besides; alone as what wanders there, and −ln p |
 | one that jumps | ln of these, ln of the samples |
 | what repeats with a turn | as a wave of its order, ln of the slopes |
 | a wave whose size follows a quantity | as a wave of its order, −ln p of the quantity |
@@ -25,7 +28,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
 from string import digits
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, TypeGuard, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +44,11 @@ from lite6jax.effects.kernels import (
     kernel_of,
     spline_basis,
 )
-from lite6jax.estimation.evidence import Evidence, Marginal, Sums, bound, log_orders_of, of_process
+from lite6jax.estimation.evidence import Evidence, Marginal, Sums, best_amplitude, bound, log_orders_of, of_process
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
-from lite6jax.estimation.terms import Term, is_process
+from lite6jax.estimation.terms import ProcessTerm, Term, is_process
 from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER
 from lite6jax.search.spectrum import Line, line_of, modulated_spectrum
 
@@ -61,9 +64,12 @@ _PLAYS = [name for name in SINGLE if KERNELS[name].hysteretic]
 _UNSCALED = [name for name in SINGLE if name not in (*SCALED, *_PLAYS)]
 _REPEATING = [name for name, kernel in KERNELS.items() if kernel.any_order]
 _JUMPING = [name for name, kernel in KERNELS.items() if kernel.any_sample]
+_UNDRIVEN = [name for name, kernel in KERNELS.items() if kernel.undriven]
 _MEMORIES = sum(len(kernel.grid) for kernel in KERNELS.values() if kernel.undriven)
-_LEAST_CORNER_OF_FIRST = 1.6
-"""Half-waves over the recording of the first read-out that wanders, at least."""
+_LEAST_CORNER = 1.6
+"""Half-waves over the recording of a hidden state, and of the first read-out that wanders, at least."""
+_HIDDEN = 8
+"""Components that wander without a read-out, the likeliest, that are weighed exactly: one shows at up to six."""
 _LEAST_IN_STEP = 2
 """Samples before a jump in time, and after it."""
 _FRACTIONS = (1, 2, 3)
@@ -179,9 +185,14 @@ class _Equations(NamedTuple):
     freedom: float
 
 
-def is_wander(term: Term) -> bool:
-    """Whether a term is what a read-out does by itself, which nothing recorded drives."""
+def is_wander(term: Term) -> TypeGuard[ProcessTerm]:
+    """Whether a term is what wanders by itself, which nothing recorded drives: a read-out, or a hidden state."""
     return is_process(term) and kernel_of(term.kernel).undriven
+
+
+def read_outs_of(problem: Problem) -> frozenset[str]:
+    """The sites whose read-out may wander: what does so there is noise, and elsewhere it is a hidden state."""
+    return frozenset(site for quantity in problem.quantities if quantity.driver.is_order for site in quantity.own)
 
 
 @final
@@ -191,7 +202,7 @@ class Scan:
     Attributes:
         names: all terms with a formula.
         listed: the same as a set.
-        quantities: what processes may depend on, and at last the order of recording, in which read-outs may wander.
+        quantities: what processes may depend on, and at last the order of recording, in which anything may wander.
         drivers: how many they are without that order.
         names_alone: whether no process is tried but what repeats and what wanders.
         prior: the probabilities of kinds.
@@ -216,9 +227,10 @@ class Scan:
         self.discrete = [_is_discrete(quantity) for quantity in self.quantities]
         sites = {component.site for component in problem.components}
         self.own = {site: [k for k, quantity in enumerate(drivers) if _is_own(quantity, site)] for site in sites}
-        self.wandering = [
-            component for quantity in orders for component in problem.components if component.site in quantity.own
-        ]
+        self.has_order = bool(orders)
+        self.read_outs = read_outs_of(problem)
+        self._read_out_count = max(sum(self.is_read_out(component.site) for component in problem.components), 1)
+        self._hidden_count = max(len(problem.components) - self._read_out_count, 1)
 
     # -------------------------------------------------------------- costs
 
@@ -232,7 +244,9 @@ class Scan:
     def cost_of_process(self, site: str, which: tuple[int, ...], kind: str = "") -> float:
         """Of a process of one quantity or of two, any kernel of its kind, any component."""
         if which == (self.drivers,):
-            return float(self.prior.cost("wandering") + np.log(len(self.wandering)) + np.log(_MEMORIES))
+            return self._cost_of_wander(site)
+        if self.has_order and which == (self.time,):
+            return self._cost_of_wander(site) + self.prior.cost("time_itself")
         kind = kind or ("process" if len(which) == 1 else "product")
         if (site, which, kind) in self._costs:
             return self._costs[site, which, kind]
@@ -246,10 +260,21 @@ class Scan:
         """Of a component among those that are alike; nothing of the first of them."""
         return self.prior.cost(component.prior) if component.prior else 0.0
 
+    def _cost_of_wander(self, site: str) -> float:
+        """Of what wanders, any of its kind, with any memory: a read-out, or a hidden state."""
+        kind, count = "hidden_state", self._hidden_count
+        if self.is_read_out(site):
+            kind, count = "wandering", self._read_out_count
+        return float(self.prior.cost(kind) + np.log(count) + np.log(_MEMORIES))
+
     def cost_of_wander_beside(self, site: str, others: Sequence[Term]) -> float | None:
-        """Of a read-out that wanders, where one of its kind does; None beside terms of which none is such a one."""
+        """Of a read-out that wanders where one of its kind does, a hidden state where its site has one; else None."""
+        wandering = [other.site for other in others if is_wander(other)]
+        if not self.is_read_out(site):
+            count = sum(component.site == site for component in self.problem.components)
+            return float(np.log(count) + np.log(_MEMORIES)) if site in wandering else None
         kind = site.rstrip(digits)
-        alike = [other for other in others if is_wander(other) and other.site.rstrip(digits) == kind]
+        alike = [other for other in wandering if other.rstrip(digits) == kind]
         return float(self.prior.cost("alike") + np.log(_MEMORIES)) if alike else None
 
     def cost_of_wave(self, term: Term, others: Sequence[Term]) -> float | None:
@@ -278,9 +303,8 @@ class Scan:
     def cost_of_kernel(self, site: str, which: tuple[int, ...], kernel: Kernel, rolloff: tuple[float, ...]) -> float:
         """Of a process of one kernel at a site; where its order or its sample is searched, of the choice of that."""
         if kernel.any_sample:
-            return float(
-                self.prior.cost(kernel.prior) + np.log(max(len(self.wandering), 1)) + np.log(self.problem.samples)
-            )
+            of_samples = float(np.log(self.problem.samples))
+            return self.prior.cost(kernel.prior) + float(np.log(self._read_out_count)) + of_samples
         if not kernel.any_order:
             return self.cost_of_process(site, which, kernel.prior)
         family = self.family_of(site)
@@ -320,15 +344,19 @@ class Scan:
     def _cost_of_quantity(self, site: str, k: int) -> float:
         site_quantities = self.own[site]
         share = self.prior.own_driver
-        return -np.log((share / len(site_quantities) if k in site_quantities else 0.0) + (1 - share) / self.drivers)
+        probability = (1 - share) / self.drivers
+        if k in site_quantities:
+            probability += share / len(site_quantities)
+        further = self.prior.cost("time_itself") if self.has_order and k == self.time else 0.0
+        return further - np.log(probability)
 
     def may_act(self, site: str, *which: int) -> bool:
         """Whether these quantities can act at a site."""
         return all(self.quantities[k].only in ("", site) for k in which)
 
-    def may_wander(self, component: Component) -> bool:
-        """Whether a component is a read-out that may wander by itself."""
-        return any(read_out is component for read_out in self.wandering)
+    def is_read_out(self, site: str) -> bool:
+        """Whether what wanders at a site is a read-out, which is noise."""
+        return site in self.read_outs
 
     def partners(self, component: Component, k: int) -> list[int]:
         """The quantities that the size of a wave of a component's angle may follow, of those that are to be tried."""
@@ -468,7 +496,7 @@ class ModelScan:
         """As `ranked`, of some candidates and all processes."""
         white = self._test.fit.noise.white
         least /= 1 if white else _UNDERRATED
-        candidates = [*candidates, *self.repeating(), *self.of_read_outs()]
+        candidates = [*candidates, *self.repeating(), *self.of_read_outs(), *self.hidden_states()]
         if not self._scan.names_alone:
             candidates += self.modulated(max([least, *(candidate.net - CLOSE for candidate in candidates)]))
             candidates += self.spectra()
@@ -736,15 +764,68 @@ class ModelScan:
         """
         candidates = []
         for component in self.components:
-            if self._scan.may_wander(component):
-                wandering = self._of_rolloffs(component, self._scan.drivers, exact=True)
+            if self._scan.is_read_out(component.site):
+                wandering = self._of_wander(component)
                 if self._scan.cost_of_wander_beside(component.site, self._test.fit.terms.terms) is None:
-                    wandering = [
-                        candidate for candidate in wandering if candidate.process[3][0] >= _LEAST_CORNER_OF_FIRST
-                    ]
+                    wandering = _of_short_memory(wandering)
                 candidates += wandering
                 candidates += self._steps(component)
         return _best_of_each(candidates)
+
+    def hidden_states(self) -> list[Ranked]:
+        """What nobody recorded and no read-out does: components that wander, the likeliest weighed exactly.
+
+        They have a memory of a fifth of the recording at most: what varies more slowly is a function of the time.
+        """
+        hidden = [component for component in self.components if not self._scan.is_read_out(component.site)]
+        if not self._scan.has_order or not hidden:
+            return []
+        present = self._test.fit.terms.terms
+        costs = []
+        for component in hidden:
+            cost = self._scan.cost_of_wander_beside(component.site, present)
+            if cost is None:
+                cost = self._scan.cost_of_process(component.site, (self._scan.drivers,))
+            costs.append(cost)
+        rough = _ROUGH * self._rough_gains_of_wander(hidden) - costs
+        candidates = []
+        for place in np.argsort(-rough)[:_HIDDEN]:
+            if rough[place] > 0:
+                candidates += self._of_wander(hidden[place])
+        return _best_of_each(candidates)
+
+    def _of_wander(self, component: Component) -> list[Ranked]:
+        """What wanders at a component, with each memory that it may have there."""
+        wandering = self._of_rolloffs(component, self._scan.drivers, exact=True)
+        return wandering if self._scan.is_read_out(component.site) else _of_short_memory(wandering)
+
+    def _rough_gains_of_wander(self, components: Sequence[Component]) -> Array:
+        """The evidence of what wanders at each component, as if its waves had nothing in common."""
+        k = self._scan.drivers
+        bounds = self._scan.quantities[k].bounds
+        gains = np.zeros(len(components))
+        all_sums = [self._sums(component) for component in components]
+        for name in _UNDRIVEN:
+            kernel = KERNELS[name]
+            functions = self._scan.features((k,), name)
+            grid = [numbers for numbers in kernel.grid if numbers[0] >= _LEAST_CORNER]
+            sizes = np.zeros((len(grid), len(functions)))
+            for row, numbers in zip(sizes, grid, strict=True):
+                deviations = kernel.deviations(bounds, numbers)
+                row[: len(deviations)] = deviations
+            pulls = np.stack([functions @ sums.pull for sums in all_sums])
+            informations = np.stack(
+                [
+                    self._marginal.information_of_each(sums, functions, (component.site, component.name, name, "each"))
+                    for component, sums in zip(components, all_sums, strict=True)
+                ]
+            )
+            residual_sums = np.array([sums.left for sums in all_sums])[:, None, None, None]
+            freedoms = np.array([sums.freedom for sums in all_sums])[:, None, None, None]
+            variances = np.maximum(informations, 0.0)[:, None] * sizes**2
+            squares = (pulls[:, None] * sizes) ** 2
+            gains = np.maximum(gains, best_amplitude(variances, squares, residual_sums, freedoms).gain.max(1))
+        return gains
 
     def _steps(self, component: Component) -> list[Ranked]:
         """The likeliest jump in time of a read-out; none where no time is known.
@@ -1005,7 +1086,7 @@ class ModelScan:
         candidates = list[Ranked]()
         k = next(iter(which))
         if k == self._scan.drivers:
-            return self._of_rolloffs(component, k, exact=True)
+            return self._of_wander(component)
         continuous, splines = self._scan.splines
         if k in continuous:
             (pull,), (information,), *noise = self._equations(
@@ -1017,7 +1098,7 @@ class ModelScan:
             ]
             names = [name for name in names if name not in SCALED]
         candidates += [self.of_kernel(component, which, name, exact=exact) for name in names]
-        if k == self._scan.time and self._scan.may_wander(component):
+        if k == self._scan.time and self._scan.is_read_out(component.site):
             candidates += self._steps(component)
         if self._scan.turns(component, k):
             candidates += self._of_rolloffs(component, k, exact)
@@ -1156,6 +1237,11 @@ def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
         if candidate.gain > 0 and (candidate.key not in likeliest or candidate.gain > likeliest[candidate.key].gain):
             likeliest[candidate.key] = candidate
     return list(likeliest.values())
+
+
+def _of_short_memory(wandering: Sequence[Ranked]) -> list[Ranked]:
+    """Of what wanders, that with a memory of a fifth of the recording at most."""
+    return [candidate for candidate in wandering if candidate.process[3][0] >= _LEAST_CORNER]
 
 
 def _modulation(k: int, partner: int) -> tuple[tuple[int, int], Kernel]:

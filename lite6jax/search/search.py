@@ -14,7 +14,7 @@ from lite6jax.estimation.score_test import independent_runs, score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.thresholds import MARGIN
 from lite6jax.progress import entered
-from lite6jax.search.scan import ModelScan, is_wander
+from lite6jax.search.scan import ModelScan, is_wander, read_outs_of
 from lite6jax.search.select import Selector, is_known
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
 
@@ -188,14 +188,17 @@ def _every(problem: Problem, reference: Problem, every: int) -> tuple[Problem, P
 def _with_wandering_as_noise(selection: Selection, training: Mask, options: EngineOptions) -> Selection:
     """The selection with what read-outs do by themselves as nuisance: no physics, and no prediction has it."""
     state = selection.state
-    wandering = tuple(selected for selected in state.tested if is_wander(selected.term))
+    read_outs = read_outs_of(selection.problem)
+    is_noise = [is_wander(selected.term) and selected.term.site in read_outs for selected in state.tested]
+    wandering = tuple(compress(state.tested, is_noise))
     if not wandering:
         return selection
     terms = [selected.term for selected in wandering]
     problem = cast(WanderingProblem, selection.problem).with_nuisance(terms)
     reference = cast(WanderingProblem, selection.reference).with_nuisance(terms)
-    physics = tuple(selected for selected in state.tested if not is_wander(selected.term))
-    part = state.fit.part([not is_wander(selected.term) for selected in state.tested])
+    is_physics = [not noise for noise in is_noise]
+    physics = tuple(compress(state.tested, is_physics))
+    part = state.fit.part(is_physics)
     rest = fitted_again(problem, reference, replace(state, fit=part, tested=physics), training, options)
     cost = rest.evidence - state.evidence
     converted = replace(selection, problem=problem, reference=reference, state=rest)

@@ -125,6 +125,10 @@ class Selector:
         """A state with the terms of it that are worth their cost, estimated anew; itself where it has none."""
         return self._settled(self._estimated(state)) if self._has_terms(state) else state
 
+    def _is_noise(self, term: Term) -> bool:
+        """Whether a term is a read-out that wanders by itself."""
+        return is_wander(term) and self.scan.is_read_out(term.site)
+
     def _processes_of(self, state: State) -> set[tuple[object, ...]]:
         """The processes of a state, by what they are."""
         return {self._key_of(selected.term) for selected in state.tested if selected.term.nonparametric}
@@ -175,7 +179,7 @@ class Selector:
         """The state with other noise in the place of a process, where that is likelier; else None."""
         trials = []
         for k, selected in enumerate(state.tested):
-            if selected.term.nonparametric and not is_wander(selected.term):
+            if selected.term.nonparametric and not self._is_noise(selected.term):
                 trial = self._left_out(state, k)
                 trial = replace(trial, fit=self.in_likeliest_noise(trial.fit))
                 if trial.fit.noise.models != state.fit.noise.models:
@@ -208,7 +212,7 @@ class Selector:
             processes = [
                 (k, selected)
                 for k, selected in enumerate(state.tested)
-                if selected.term.nonparametric and not is_wander(selected.term)
+                if selected.term.nonparametric and not self._is_noise(selected.term)
             ]
             remaining = [(k, selected) for k, selected in processes if self._key_of(selected.term) not in asked]
             if not remaining:
@@ -449,7 +453,7 @@ class Selector:
     def _continued(self, candidate: Ranked, model: Sequence[Term]) -> Ranked:
         """Of a process that continues one, only the choice of the component costs; of a multiple of a wave, that.
 
-        A read-out that wanders costs less where one of its kind does.
+        A read-out that wanders costs less where one of its kind does, a hidden state where its site has one.
         """
         if candidate.process and kernel_of(candidate.process[2]).undriven:
             cost = self.scan.cost_of_wander_beside(candidate.site, model)
@@ -610,7 +614,7 @@ class Selector:
             marginal = Marginal(self.test(state))
             excess = []
             for selected in state.tested:
-                component = None if is_wander(selected.term) else self._component_of(selected.term)
+                component = None if self._is_noise(selected.term) else self._component_of(selected.term)
                 if component is None:
                     excess.append(-np.inf)
                     continue
@@ -905,7 +909,7 @@ class Selector:
             yield names, gain
             if site_pair is not None:
                 yield [*before[0], *site_pair.names], before[1] + site_pair.net
-            wandering = [(self.scan.drivers,)] if self.scan.may_wander(component) else []
+            wandering = [(self.scan.drivers,)] if self.scan.is_read_out(component.site) else []
             for less in self._processes(test, component, [*_either(quantity_indices), *wandering]):
                 if less.net >= MARGIN:
                     yield [*names, less], gain + less.net

@@ -276,8 +276,9 @@ def test_a_fault_that_may_be_there_instead_is_said_beside_the_effects(undecided,
 def test_a_read_out_that_wanders_is_an_alternative_with_its_memory(compliant, drawn, time, memory):
     corner = 1 / (0.32 * np.pi)
     wander = Unnamed("joint3", "order of recording", 0.0, 1.0, "wander", spread=1e-4, rolloff=(corner, 2.0))
-    recording = replace(compliant.problem.recording, time=time)
-    found = replace(with_rivals(compliant, (wander, 1.5)), problem=replace(compliant.problem, recording=recording))
+    problem = compliant.problem
+    timed = replace(problem, motion=problem.motion._replace(time=time))
+    found = replace(with_rivals(compliant, (wander, 1.5)), problem=timed)
     other = f"a read-out of joint3 that wanders by itself with a memory of {memory}"
     text, (_, said) = page(found, drawn), screen(found, width=60)
     for shown in (text, said):

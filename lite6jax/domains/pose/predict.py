@@ -36,7 +36,7 @@ from lite6jax.domains.uncertainty import (
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.kinematic import TimeOffset
-from lite6jax.effects.motion import Motion, Sliding, accelerated
+from lite6jax.effects.motion import Motion, Sliding, accelerated, in_another_recording
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia
 from lite6jax.errors import InputError, wrong_type
@@ -227,6 +227,7 @@ class DiagnosedArm:
             payload=row("payload", payload, batch_shape),  # type: ignore[arg-type]
             sliding=Sliding(self.sliding),
         )
+        motion = in_another_recording(motion)
         for effect in self.physics.effects:
             if isinstance(effect, TimeOffset) or effect.hysteretic:
                 raise InputError(
@@ -262,8 +263,11 @@ class DiagnosedArm:
         return replace(self, physics=physics, values=values, uncertainty=uncertainty)
 
     def motion_of(self, recording: Recording) -> Motion:
-        """The motion of a recording, with accelerations where loads include them; `joint_zero` is added."""
-        motion = motion_of_recording(self.correct_zeros(recording))
+        """The motion of a recording, with accelerations where loads include them; `joint_zero` is added.
+
+        What wandered by itself while the model was recorded is not known of it.
+        """
+        motion = in_another_recording(motion_of_recording(self.correct_zeros(recording)))
         return accelerated(motion) if self.accelerated else motion
 
     def correct_zeros(self, recording: Recording) -> Recording:
@@ -418,8 +422,12 @@ class Derivatives:
         return variance
 
     def driver_values(self) -> dict[str, Array]:
-        """`(sample,)` of every quantity on which effects depend and that the motion has, by its phrase."""
-        drivers = {driver.phrase: driver for effect in self.model.physics.effects for driver in effect.drivers}
+        """`(sample,)` of every quantity on which effects depend and that the motion has, by its phrase.
+
+        Without the order of recording, which no other recording can be within.
+        """
+        of_effects = [driver for effect in self.model.physics.effects for driver in effect.drivers]
+        drivers = {driver.phrase: driver for driver in of_effects if not driver.is_order}
         on_arm = None
         if any(driver.loaded for driver in drivers.values()):
             on_arm = self._deflections.loads

@@ -4,7 +4,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Self, final
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, final
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,7 @@ from lite6jax.effects.catalogue import Untestable, catalogue, shaped, untestable
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, dense
 from lite6jax.effects.effect import Bending, Effect, Loading
+from lite6jax.effects.kernels import memory_of
 from lite6jax.effects.kinematic import JointHarmonic, PayloadError, TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted, thin
 from lite6jax.effects.nonparametric import Unnamed
@@ -60,6 +61,18 @@ twentieth."""
 
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
+
+
+class Memory(NamedTuple):
+    """The time in which what wanders by itself forgets where it was.
+
+    Attributes:
+        samples: usual ones of the recording.
+        seconds: None where it has no times.
+    """
+
+    samples: float
+    seconds: float | None
 
 
 @final
@@ -360,6 +373,13 @@ class PoseProblem(RigidArm):
             _, joint, _ = site_of(effect.where, effect.component)
             errors[joint] += total[mask] @ self.deflections.basis(effect)
         return errors
+
+    def memory_of(self, effect: Unnamed) -> Memory:
+        """The memory of an effect that wanders by itself."""
+        share = memory_of(effect.rolloff)
+        time = self.motion.time
+        seconds = None if time is None else share * float(np.ptp(np.asarray(time)))
+        return Memory(share * self.samples, seconds)
 
     def with_nuisance(self, terms: Sequence[Term]) -> "PoseProblem":
         """The same with read-outs that wander as unknowns, under their priors, and no longer as terms."""

@@ -19,6 +19,7 @@ from lite6jax.formatting import (
     plural,
     plus_minus,
     rows_named,
+    significant,
 )
 
 POSITION = Measure("moves_rms_m", "heldout_position_rms_m", 1e3, "mm")
@@ -145,10 +146,22 @@ class PoseWords(SectionWords):
         return f"{capital(title)}{driven} is significant: {numbers}; {self._moves(finding)}."
 
     def unnamed(self, finding: Entry, drivers: str, numbers: str, component: str, shape: str, nearest: str) -> str:
+        if "wanders" in finding:
+            return f"{self._wandering(finding, numbers, component)}; {self._moves(finding)}."
         return (
             f"No effect of the catalogue explains an effect at {finding['site']}{component} as a function of the "
             f"{drivers}: {shape} ({finding['effective_parameters']:.0f} effective parameters), {numbers}; "
             f"{self._moves(finding)}."
+        )
+
+    def _wandering(self, finding: Entry, numbers: str, component: str) -> str:
+        wanders = finding["wanders"]
+        memory = f"{significant(wanders['memory_samples'], 2)} rows"
+        if wanders["memory_s"] is not None:
+            memory = f"{significant(wanders['memory_s'], 2)} s"
+        return (
+            f"An effect at {finding['site']}{component} wanders by itself, with a memory of about {memory}. Nothing "
+            f"that was recorded drives it, and another recording has another one: {numbers}"
         )
 
     def rivals(self, entries: Sequence[tuple[str, Entry]]) -> list[str]:

@@ -20,7 +20,7 @@ from lite6jax.formatting import (
     paragraph,
     significant,
 )
-from lite6jax.report.remedies import effect_name, effect_title
+from lite6jax.report.remedies import effect_name, effect_title, wanders
 from lite6jax.report.sentences.document import (
     Document,
     Entry,
@@ -97,6 +97,10 @@ def partly_explained(document: Document) -> str:
 def unnamed(document: Document) -> str:
     """Says that the largest effect has no name."""
     sentence = "Unnamed: no effect of the catalogue explains the largest effect that was found."
+    if wanders(max(document["findings"], key=lambda finding: finding["log_likelihood_gain"])):
+        sentence = (
+            "Unnamed: the largest effect that was found wanders by itself, and nothing that was recorded drives it."
+        )
     return paragraph(sentence, words_of(document).errors_of_unnamed(document))
 
 
