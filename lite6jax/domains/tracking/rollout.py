@@ -282,7 +282,7 @@ def roll(
             among = commands.reset, commands.period, commands.steps, commands.interpolated
             integral = (integral[joints] + _integrate(extra[:, COMMAND], *among))[index]
             rows = np.arange(size)
-    by_joints = np.zeros((0, 0, 0)), np.zeros((0, 0))
+    by_joints = np.zeros((held, 0, 0)), np.zeros((held * commands.steps + 1, 0))
     if coupling is not None:
         by_joints = filled(coupling.matrix, held), by_step(np.asarray(coupling.acceleration))[:, :size]
     readout, states = _roll(
@@ -665,18 +665,13 @@ def _roll(
         of_next = extra[jnp.minimum(sample + 1, samples - 1)][:, None]
         forces = extra[sample][:, None] + share * (of_next - extra[sample][:, None]) + zero
         loads = load[step][..., columns]
-        others = (
-            (matrix[sample], acceleration[step])
-            if others_act
-            else (jnp.zeros((_BLOCK, 0)), jnp.zeros((_BLOCK, steps, 0)))
-        )
         first_commands = (integral[(begin + 1)[:, None], rows] - integral[begin[:, None], rows]) / h
         begun = places[run[sample]], start_velocity[run[sample]], weight[run[sample]][:, columns], first_commands
         by_step = (
             *(u, held_areas[:, 1:] / h, load[following][..., columns], mass[step][..., columns]),
-            *(forces[:, :, TORQUE], forces[:, :, FRICTION], others[1]),
+            *(forces[:, :, TORQUE], forces[:, :, FRICTION], acceleration[step]),
         )
-        inputs = by_step, others[0], begin == sample * steps, (*begun, loads[:, 0])
+        inputs = by_step, matrix[sample], begin == sample * steps, (*begun, loads[:, 0])
         state, (shown, moved) = jax.lax.scan(roll_sample, state, inputs)
         place = block * _BLOCK
         readout = jax.lax.dynamic_update_slice_in_dim(readout, read_out(shown, p), place, 0)
