@@ -44,7 +44,7 @@ from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, sco
 from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
 from lite6jax.estimation.whitening import Whitened
-from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan, is_wander
+from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan, in_order, is_wander
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
@@ -96,7 +96,7 @@ class Selector:
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
         many processes are significant that each describe a part of it. Terms are then tried in the place of what is
-        left of it, whose two numbers cost `CLOSE`. These go on to names only where they are about as likely.
+        left of it. These go on to names only where they are about as likely.
         Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
         still worth its cost.
         """
@@ -110,9 +110,7 @@ class Selector:
             instead = self._with_all_worth(self._continued_from(state))
             if self._in_noise_left(instead).evidence > grown.evidence - CLOSE:
                 instead = self._in_noise_left(self._grown(instead, exchanging, set()))
-                cost_of_noise = CLOSE if instead.fit.noise.white else 0.0
-                if instead.evidence > grown.evidence - cost_of_noise:
-                    grown = instead
+                grown = max(grown, instead, key=lambda trial: trial.evidence)
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
@@ -380,8 +378,8 @@ class Selector:
         refused = 0
         worth = list[Ranked]()
         weighed = [self._continued(candidate, model) for candidate in self._not_refused(ranked, test, state)]
-        for candidate in sorted(weighed, key=lambda candidate: -candidate.net):
-            if candidate.net < MARGIN or full.all() or refused == _REFUSED:
+        for candidate in in_order([candidate for candidate in weighed if candidate.net >= MARGIN]):
+            if full.all() or refused == _REFUSED:
                 break
             if candidate.key in tried or candidate.site in tried:
                 continue
@@ -944,8 +942,7 @@ class Selector:
             lowest_odds = state.tested[k].net - CLOSE
             candidates = self._not_refused(ModelScan(self.scan, test, rows, likely).ranked(lowest_odds), test, state)
             continued = [self._continued(candidate, test.fit.terms.terms) for candidate in candidates]
-            ordered = continued if continued == candidates else sorted(continued, key=lambda candidate: -candidate.net)
-            self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
+            self._known[key] = state.fit, in_order(continued)  # the fit is kept, so that no other one has its identity
         return self._known[key][1]
 
     def names_instead(self, state: State, k: int) -> list[State]:
