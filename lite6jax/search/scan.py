@@ -519,7 +519,7 @@ class ModelScan:
             candidates += [*singles, *self.pairs(singles, 0.0 if white else least)]
         candidates.sort(key=lambda candidate: -candidate.net)
         if white:
-            return in_order(candidates)
+            return _in_order(candidates)
         exact = list[Ranked]()
         best_odds = 0.0
         for candidate in candidates[:_EXACT]:
@@ -527,7 +527,7 @@ class ModelScan:
                 break
             exact.append(self.exact(candidate))
             best_odds = max(best_odds, exact[-1].net)
-        return in_order([candidate for candidate in exact if candidate.gain > 0])
+        return _in_order([candidate for candidate in exact if candidate.gain > 0])
 
     def usual(self) -> list[Ranked]:
         """The names that nearly every problem has, the likeliest first."""
@@ -535,7 +535,7 @@ class ModelScan:
 
     def names_and_waves(self) -> list[Ranked]:
         """Names and waves alone, the likeliest first."""
-        return in_order([*self.named(), *self.waves()])
+        return _in_order([*self.named(), *self.waves()])
 
     def as_is(self, name: Term) -> Ranked | None:
         """A name with the number that it has; None where it says nothing."""
@@ -1232,7 +1232,7 @@ def _of_term(evidence: Evidence, cost: float, term: Term, label: str = "") -> Ra
     return Ranked(gain, cost, volume, term.site, (label or term.label,), "", lambda: term)
 
 
-def in_order(candidates: Sequence[Ranked]) -> list[Ranked]:
+def _in_order(candidates: Sequence[Ranked]) -> list[Ranked]:
     """The likeliest first; of names that are nearly as likely as a first name, that of the highest priority.
 
     Of the same priority it is that of the fewest numbers.

@@ -44,7 +44,7 @@ from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, sco
 from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
 from lite6jax.estimation.whitening import Whitened
-from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan, in_order, is_wander
+from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan, is_wander
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
 
@@ -207,11 +207,7 @@ class Selector:
     def _with_names(self, state: State, asked: set[tuple[object, ...]]) -> State:
         """The state with names in the place of processes, each asked once, the one that explains most first."""
         while True:
-            processes = [
-                (k, selected)
-                for k, selected in enumerate(state.tested)
-                if selected.term.nonparametric and not self._is_noise(selected.term)
-            ]
+            processes = [(k, selected) for k, selected in enumerate(state.tested) if selected.term.nonparametric]
             remaining = [(k, selected) for k, selected in processes if self._key_of(selected.term) not in asked]
             if not remaining:
                 return state
@@ -378,8 +374,8 @@ class Selector:
         refused = 0
         worth = list[Ranked]()
         weighed = [self._continued(candidate, model) for candidate in self._not_refused(ranked, test, state)]
-        for candidate in in_order([candidate for candidate in weighed if candidate.net >= MARGIN]):
-            if full.all() or refused == _REFUSED:
+        for candidate in sorted(weighed, key=lambda candidate: -candidate.net):
+            if candidate.net < MARGIN or full.all() or refused == _REFUSED:
                 break
             if candidate.key in tried or candidate.site in tried:
                 continue
@@ -718,8 +714,11 @@ class Selector:
         return None
 
     def _needed(self, old: Term, nonparametric: bool) -> float:
-        """Log odds that another term must have over this one to take its place: names may be slightly less likely."""
-        if old.nonparametric == nonparametric:
+        """Log odds that another term must have over this one to take its place.
+
+        A name may be slightly less likely than a process, but not than a read-out that wanders: that says nothing.
+        """
+        if old.nonparametric == nonparametric or self._is_noise(old):
             return BETTER
         return NEARLY if nonparametric else -NEARLY
 
@@ -942,7 +941,8 @@ class Selector:
             lowest_odds = state.tested[k].net - CLOSE
             candidates = self._not_refused(ModelScan(self.scan, test, rows, likely).ranked(lowest_odds), test, state)
             continued = [self._continued(candidate, test.fit.terms.terms) for candidate in candidates]
-            self._known[key] = state.fit, in_order(continued)  # the fit is kept, so that no other one has its identity
+            ordered = continued if continued == candidates else sorted(continued, key=lambda candidate: -candidate.net)
+            self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
         return self._known[key][1]
 
     def names_instead(self, state: State, k: int) -> list[State]:
