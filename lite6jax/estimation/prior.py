@@ -83,7 +83,7 @@ class Prior:
     data_fault: float = option(1 / 300, "columns, units, zeros, a frame or a tool are wrong", "one file in 300")
     distance_constant: float = option(1 / 300, "a gauge of distances has a zero of its own", "as another fault")
     frame_jump: float = option(1 / 300, "the sensor, the base or the tool was moved once, at any row", "as above")
-    unsettled_readouts: float = option(1 / 300, "joints were read before the arm had settled", "as above")
+    unsettled_readouts: float = option(1 / 300, "read-outs were taken before all had come to rest", "as above")
 
     def __post_init__(self) -> None:
         for name, probability in self.probabilities.items():
