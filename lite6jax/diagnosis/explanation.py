@@ -69,7 +69,7 @@ class Explanation:
     Attributes:
         screened: the recording with these faults corrected; of the training rows.
         selection: the physics found in what is left.
-        price: log-likelihood that the corrections must gain, for the quantities that were estimated for them.
+        price: log-likelihood that the corrections must gain, for their probabilities and estimated quantities.
         decisions: between faults and physics.
         alternatives: faults that explain nearly as much as some of the physics, in its place.
     """
@@ -93,10 +93,8 @@ class Explanation:
 
     @property
     def evidence(self) -> float:
-        """Log-likelihood in the noise that is left, less the description length of physics, noise model and faults."""
-        fit = self.selection.state.fit
-        model = 0.0 if fit.noise.white else float(np.log(self.readings))  # its two parameters
-        return float(self.selection.evidence - model - self.price)
+        """Log evidence in the noise that is left, less what the choices of physics, noise model and faults cost."""
+        return float(self.selection.evidence - self.price)
 
     @property
     def final_decisions(self) -> Decisions:
@@ -184,7 +182,7 @@ class Case:
         problem = self.problem(screened, "exact")
         return screened, replace(problem, start=problem.start._replace(geometry=rows.ravel()))  # type: ignore[arg-type]
 
-    def search(self, screened: ScreenedPoses, decisions: Decisions, price_: float | None = None) -> Explanation:
+    def search(self, screened: ScreenedPoses, decisions: Decisions) -> Explanation:
         """With the physics that a search finds under these decisions, or that they name and the rows support."""
         screened, problem = self.prepared(screened, decisions)
         training = self.training
@@ -199,10 +197,8 @@ class Case:
             reference = reference.with_loads(decisions.accelerated)
             rows = problem.valid if training is None else training
             selection = supported(at_offset, decisions.physics, engine, rows, reference)
-        if price_ is None:
-            readings = float(problem.rows * selection.state.fit.training.sum())
-            price_ = price(screened, readings, problem.samples)
-        return Explanation(screened, selection, price_, decisions)
+        readings = float(problem.rows * selection.state.fit.training.sum())
+        return Explanation(screened, selection, price(screened, readings, problem.samples), decisions)
 
     def explanation(self, decisions: Decisions) -> Explanation:
         """With the faults corrected that these decisions name, and the physics found then."""
@@ -288,7 +284,7 @@ def _constant_weighed(explanation: Explanation, case: Case) -> Explanation:
     if screened:
         explanation = _likelier(explanation, rival, "distance_offset")
     else:
-        gap = explanation.evidence + case.options.prior.cost("distance_constant") - rival.evidence
+        gap = explanation.evidence - rival.evidence
         if gap < 0:
             explanation = _likelier(rival, explanation, "distance_offset")
         else:
@@ -336,13 +332,12 @@ def _table_weighed(explanation: Explanation, case: Case) -> Explanation:
         faults = (*used.found, *(fault for fault in rescreened.found if fault.code == "nominal_table"))
         ruled_out = tuple(fault for fault in used.ruled_out if fault.code != "nominal_table")
         used = replace(rescreened, found=faults, ruled_out=ruled_out)
-    published = case.search(used, Decisions(used.corrections, published=file), explanation.price)
+    published = case.search(used, Decisions(used.corrections, published=file))
     gap = published.evidence - explanation.evidence
     more: dict[str, object] = {}
     if likelier is not None:
-        cost = case.options.prior.cost("nominal_table")
-        if gap <= cost:
-            return explanation.with_alternative(published, _fault_of(published, "nominal_table"), cost - gap)
+        if gap <= 0:
+            return explanation.with_alternative(published, _fault_of(published, "nominal_table"), -gap)
         more = {"log_likelihood_gap": gap, "rival_terms": explanation.labels}
     if case.geometry != "declared":
         return replace(explanation, screened=_with_numbers(used, "nominal_table", more))
@@ -375,8 +370,9 @@ def _calibration_weighed(explanation: Explanation, case: Case) -> Explanation:
         return explanation
     rival = case.search(explanation.screened, replace(explanation.decisions, sigma=sigma))
     # the chain's numbers are integrated over; their common size is one number that was chosen
-    rival = replace(rival, price=rival.price + _log_volume_ratio(rival) + 0.5 * float(np.log(rival.readings)))
-    gap = rival.evidence - explanation.evidence - cost
+    of_size = 0.5 * float(np.log(rival.readings))
+    rival = replace(rival, price=rival.price + cost + _log_volume_ratio(rival) + of_size)
+    gap = rival.evidence - explanation.evidence
     if gap <= -CLOSE:
         return explanation
     size = {"sigma_m": sigma, "sigma_rad": sigma}

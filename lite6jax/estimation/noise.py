@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import half_inverse
-from lite6jax.estimation.thresholds import CLOSE, EIGENVALUE_ROUNDING
+from lite6jax.estimation.thresholds import EIGENVALUE_ROUNDING
 
 Array = NDArray[np.floating]
 Integers = NDArray[np.integer]
@@ -145,11 +145,13 @@ class NoiseModel:
         models: one for each group.
         groups: `(row,)` int, the group of each row.
         starts: the first sample of each run.
+        price: −ln of the prior probability of the groups that are autocorrelated, any of the models tried.
     """
 
     models: tuple[Autocorrelation, ...]
     groups: Integers
     starts: tuple[int, ...] = (0,)
+    price: float = 0.0
 
     @property
     def white(self) -> bool:
@@ -178,7 +180,7 @@ class NoiseModel:
         if self.white:
             return self
         models = (replace(model, coefficient=model.coefficient ** (1 / every)) for model in self.models)
-        return NoiseModel(tuple(models), self.groups, run_starts(run))
+        return NoiseModel(tuple(models), self.groups, run_starts(run), self.price)
 
     def transposed(self, rows: Array) -> Array:
         """The transpose of `whitened`, of rows `(…, row, sample)`."""
@@ -226,7 +228,7 @@ def noise_model(
     start: NoiseModel | None = None,
     declared: Array | None = None,
 ) -> NoiseModel:
-    """The most likely noise model of residuals; a group stays white where that is not clearly less likely.
+    """The most likely noise model of residuals; a group stays white where the likelihood gains less than the price.
 
     The noise that a fit has absorbed is accounted for by the restricted likelihood (REML; D. Harville, Journal of the
     American Statistical Association 72, 1977, eq. 3.2), in which numbers with a prior are random.
@@ -242,7 +244,8 @@ def noise_model(
         declared: `(group,)`, in the unit of the residuals, what the white part of the noise has at least; zero where
             not given.
     """
-    models = []
+    models = list[Autocorrelation]()
+    total_price = 0.0
     for group in range(int(groups.max(initial=0)) + 1):
         in_group = groups == group
         samples = slice(None, _MOST_FOR_NOISE)
@@ -250,12 +253,12 @@ def noise_model(
         acting = group_columns.any((1, 2))  # numbers that do not act on this group change all likelihoods alike
         before = UNCORRELATED if start is None else start.models[group]
         least = 0.0 if declared is None else float(declared[group])
-        models.append(
-            _autocorrelation(
-                rows[in_group, samples], group_columns[acting], prior[acting], run[samples], options, before, least
-            )
+        model, price = _autocorrelation(
+            rows[in_group, samples], group_columns[acting], prior[acting], run[samples], options, before, least
         )
-    return NoiseModel(tuple(models), groups, run_starts(run))
+        models.append(model)
+        total_price = total_price + price
+    return NoiseModel(tuple(models), groups, run_starts(run), total_price)
 
 
 def _autocorrelation(
@@ -266,10 +269,11 @@ def _autocorrelation(
     options: EngineOptions,
     before: Autocorrelation,
     declared: float,
-) -> Autocorrelation:
+) -> tuple[Autocorrelation, float]:
+    """The most likely model of a group, and its price."""
     starts = run_starts(run)
     if not _suspicious(rows) or len(starts) * _LEAST_IN_RUN > rows.shape[1]:
-        return UNCORRELATED
+        return UNCORRELATED, 0.0
 
     @cache
     def likelihood(pair: tuple[float, float]) -> float:
@@ -304,9 +308,10 @@ def _autocorrelation(
         near = [(neighbour, share) for neighbour in _near(coefficient_grid, coefficient)]
         near += [(coefficient, neighbour) for neighbour in _near(_SHARES, share)]
         best_pair = max(near, key=likelihood)
-    if likelihood(best_pair) > likelihood((0.0, 0.0)) + CLOSE:
-        return Autocorrelation(*best_pair)
-    return UNCORRELATED
+    price = options.prior.cost("autocorrelated_noise") + float(np.log(len(coefficient_grid) * len(_SHARES)))
+    if likelihood(best_pair) > likelihood((0.0, 0.0)) + price:
+        return Autocorrelation(*best_pair), price
+    return UNCORRELATED, 0.0
 
 
 def coefficients(samples: float) -> Sequence[float]:

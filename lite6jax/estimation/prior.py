@@ -58,6 +58,9 @@ class Prior:
     # read-outs, besides the four kinds
     wandering: float = option(0.25, "a read-out wanders by itself, any of them", "as each kind of physics")
     alike: float = option(0.5, "a read-out wanders too where one of its kind does", "read-outs of a kind are alike")
+    autocorrelated_noise: float = option(
+        0.25, "rows of a group remember what their noise was, with any memory and share", "as each kind of physics"
+    )
     jump: float = option(
         1 / 300, "a read-out jumps once, any of them, at any sample", "one file in 300, as a data fault"
     )
@@ -79,6 +82,8 @@ class Prior:
     # faults of the data
     data_fault: float = option(1 / 300, "columns, units, zeros, a frame or a tool are wrong", "one file in 300")
     distance_constant: float = option(1 / 300, "a gauge of distances has a zero of its own", "as another fault")
+    frame_jump: float = option(1 / 300, "the sensor, the base or the tool was moved once, at any row", "as above")
+    unsettled_readouts: float = option(1 / 300, "read-outs were taken before all had come to rest", "as above")
 
     def __post_init__(self) -> None:
         for name, probability in self.probabilities.items():

@@ -4,10 +4,7 @@ Evidence is in log-likelihood.
 """
 
 CLOSE = 6.0
-"""Log-likelihood within which two models are not distinguished: a likelihood ratio of 400.
-
-A noise model of two numbers must gain as much.
-"""
+"""Log-likelihood within which two models are not distinguished: a likelihood ratio of 400."""
 CONFOUNDED = 1e-6
 """Share of a column's square, outside the span of nuisance and model, below which it is confounded.
 

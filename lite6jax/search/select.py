@@ -96,7 +96,7 @@ class Selector:
 
         Noise that is autocorrelated explains residuals as terms do. It is there first: in noise that is taken as white,
         many processes are significant that each describe a part of it. Terms are then tried in the place of what is
-        left of it, whose two numbers cost `CLOSE`. These go on to names only where they are about as likely.
+        left of it. These go on to names only where they are about as likely.
         Terms of an earlier search are taken over with its decisions between names, noise and processes, where any is
         still worth its cost.
         """
@@ -110,9 +110,7 @@ class Selector:
             instead = self._with_all_worth(self._continued_from(state))
             if self._in_noise_left(instead).evidence > grown.evidence - CLOSE:
                 instead = self._in_noise_left(self._grown(instead, exchanging, set()))
-                cost_of_noise = CLOSE if instead.fit.noise.white else 0.0
-                if instead.evidence > grown.evidence - cost_of_noise:
-                    grown = instead
+                grown = max(grown, instead, key=lambda trial: trial.evidence)
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
@@ -209,11 +207,7 @@ class Selector:
     def _with_names(self, state: State, asked: set[tuple[object, ...]]) -> State:
         """The state with names in the place of processes, each asked once, the one that explains most first."""
         while True:
-            processes = [
-                (k, selected)
-                for k, selected in enumerate(state.tested)
-                if selected.term.nonparametric and not self._is_noise(selected.term)
-            ]
+            processes = [(k, selected) for k, selected in enumerate(state.tested) if selected.term.nonparametric]
             remaining = [(k, selected) for k, selected in processes if self._key_of(selected.term) not in asked]
             if not remaining:
                 return state
@@ -720,8 +714,11 @@ class Selector:
         return None
 
     def _needed(self, old: Term, nonparametric: bool) -> float:
-        """Log odds that another term must have over this one to take its place: names may be slightly less likely."""
-        if old.nonparametric == nonparametric:
+        """Log odds that another term must have over this one to take its place.
+
+        A name may be slightly less likely than a process, but not than a read-out that wanders: that says nothing.
+        """
+        if old.nonparametric == nonparametric or self._is_noise(old):
             return BETTER
         return NEARLY if nonparametric else -NEARLY
 

@@ -90,9 +90,10 @@ class State:
 
     @property
     def evidence(self) -> float:
-        """Log evidence in its own noise, less what the choice of its terms costs."""
+        """Log evidence in its own noise, less what the choices of its terms and of its noise model cost."""
         names = sum(test.volume for test in self.tested if not test.term.nonparametric)
-        return self.fit.own_likelihood - self.fit.volume - names - sum(test.cost for test in self.tested)
+        choices = self.fit.noise.price + sum(test.cost for test in self.tested)
+        return self.fit.own_likelihood - self.fit.volume - names - choices
 
 
 def refitted(

@@ -5,7 +5,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
-from diagnosis.recorded import NOISE, OPTIONS, Made, moving_motion
+from diagnosis.recorded import NOISE, OPTIONS, Made, moving_motion, static_motion
 from rich.console import Console
 
 from lite6jax.diagnosis.diagnose import diagnose_poses
@@ -136,3 +136,17 @@ def test_what_wanders_is_nuisance_with_the_variance_of_an_autoregression(tmp_pat
     nuisance = 1e-6 * np.eye(len(with_noise.unknown))[number]
     moved = with_noise.residual(nuisance, *problem.preset) - with_noise.residual(0 * nuisance, *problem.preset)
     assert moved == pytest.approx(1e-6 * columns[3], rel=1e-3, abs=1e-9)
+
+
+def test_two_waves_of_a_gear_are_no_read_out_that_wanders(tmp_path):
+    """Of high orders in few postures noise of the joint explains both, and more than either wave alone."""
+    motion = static_motion(4, 46)
+    effects = (
+        "joint_harmonic:joint=4,order=78,amplitude_rad=2e-3,phase_rad=-1.4",
+        "joint_harmonic:joint=4,order=43,amplitude_rad=1.5e-3,phase_rad=0",
+    )
+    made = Made(tmp_path, effects, seed=1, orientation=False)
+    found = search(pose_problem(made.recording(motion)), OPTIONS)
+    assert not found.wandering
+    orders = sorted(selected.term.chosen for selected in found.state.tested)
+    assert orders == pytest.approx([43, 78], abs=0.3)

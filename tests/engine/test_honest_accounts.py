@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from engine.linear_problem import Column, Driver, Process, linear_problem
 
-from lite6jax.estimation.least_squares import fit
+from lite6jax.estimation.least_squares import FREEDOM, fit
 from lite6jax.estimation.options import DEFAULTS
 from lite6jax.estimation.terms import Terms
 from lite6jax.search.search import chance_of
@@ -106,6 +106,47 @@ def test_each_step_changes_the_evidence_by_what_one_determinant_says(seed):
     for before, after in combinations(states, 2):
         step = gross(states[after]) - gross(states[before])
         assert step == pytest.approx(dense[after] - dense[before], abs=0.5), (before, after)
+
+
+def dense_likelihood(fitted):
+    """Student's, of innovations by a Cholesky factor of the noise's covariance; the filter rounds a run's beginning."""
+    r = fitted.residuals
+    samples = r.rows.shape[1]
+    total = -0.5 * fitted.penalty
+    for group, scale in enumerate(fitted.scale):
+        model = fitted.noise.models[group]
+        lags = np.abs(np.subtract.outer(np.arange(samples), np.arange(samples)))
+        factor = np.linalg.cholesky(model.share * model.coefficient**lags + (1 - model.share) * np.eye(samples))
+        of_group = r.rows[r.groups == group]
+        innovations = np.linalg.solve(factor, of_group.T)
+        squares = np.sum(innovations**2, 1) / scale**2
+        count = len(of_group)
+        total -= 0.5 * (FREEDOM + count) * np.sum(np.log1p(squares / FREEDOM)) + samples * count * np.log(scale)
+        total -= count * np.log(np.diagonal(factor)).sum()
+    return total
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_autocorrelated_noise_changes_the_evidence_by_a_dense_likelihood_and_its_price(seed):
+    """Beside the same terms, from white noise and back; the price is that of a choice among the models tried."""
+    rng = np.random.default_rng(seed)
+    problem, _ = random_problem(seed)
+    slow = np.stack([wandering(rng, 200) for _ in range(2)])
+    problem = replace(problem, measured=problem.measured + 2.0 * slow)
+    prior = replace(DEFAULTS.prior, autocorrelated_noise=0.1)
+    white = state_of(problem, (Column("u1"), Column("u3")))
+    models = {}
+    for options in (DEFAULTS, replace(DEFAULTS, prior=prior)):
+        selector = Selector(problem, options)
+        state = replace(white, fit=selector.in_likeliest_noise(white.fit))
+        assert not state.fit.noise.white
+        step = state.evidence - white.evidence
+        dense = dense_likelihood(state.fit) - state.fit.volume - (dense_likelihood(white.fit) - white.fit.volume)
+        assert step == pytest.approx(dense - state.fit.noise.price, abs=0.5)
+        models[options.prior.autocorrelated_noise] = state.fit.noise
+    groups = sum(model.share > 0 for model in models[0.25].models)
+    assert models[0.1].price - models[0.25].price == pytest.approx(groups * np.log(2.5))
+    assert white.fit.noise.price == 0
 
 
 def wandering(rng, samples):

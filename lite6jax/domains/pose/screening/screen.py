@@ -229,6 +229,7 @@ class Screen:
         estimated: how many continuous quantities the correction of a fault estimates, whose cost a comparison with
             physics includes; none where the screen decides alone.
         located: whether that cost includes the choice of a row too.
+        prior: the fault's name in `Prior`, where a comparison with physics includes its probability.
         of_touches: whether readings that are no poses may have its faults.
     """
 
@@ -237,6 +238,7 @@ class Screen:
     run: Callable[[ScreenedPoses], ScreenedPoses]
     estimated: Callable[[DataFault], int] = lambda fault: 0
     located: bool = False
+    prior: str = ""
     of_touches: bool = False
 
 
@@ -250,19 +252,37 @@ SCREENS = (
     Screen(
         (*changes.CODES, "undecided", "other_arm", "unexplained"), "arm", hypotheses.correct_mismatch, of_touches=True
     ),
-    Screen(("distance_offset",), "fit", reading_zero.free_constant, estimated=lambda fault: 1, of_touches=True),
+    Screen(
+        ("distance_offset",),
+        "fit",
+        reading_zero.free_constant,
+        estimated=lambda fault: 1,
+        prior="distance_constant",
+        of_touches=True,
+    ),
     Screen((*changes.CODES, "arm_deviation"), "fit", hypotheses.explain_deviation, of_touches=True),
     Screen(("computed_pose",), "arm", note_computed),
     Screen(("joint_turns",), "arm", remove_turns),
-    Screen(("frame_jump",), "fit", frame_jumps.remove_jumps, estimated=lambda fault: 6, located=True),
-    Screen(("unsettled_readouts",), "fit", settling.settle_joints, estimated=settling.count_numbers),
-    Screen(("nominal_table",), "fit", hypotheses.use_other_table),
+    Screen(
+        ("frame_jump",), "fit", frame_jumps.remove_jumps, estimated=lambda fault: 6, located=True, prior="frame_jump"
+    ),
+    Screen(
+        ("unsettled_readouts",),
+        "fit",
+        settling.settle_joints,
+        estimated=settling.count_numbers,
+        prior="unsettled_readouts",
+    ),
+    Screen(("nominal_table",), "fit", hypotheses.use_other_table, prior="nominal_table"),
 )
 """All screens, in order."""
 
 
 def price(screened: ScreenedPoses, numbers: float, samples: int) -> float:
-    """Log-likelihood that the corrections made must gain over physics: ½ log n a quantity (Schwarz), log samples a row.
+    """Log-likelihood that the corrections made must gain over physics.
+
+    It is −ln of the prior probability of each, ½ ln n for each quantity that is estimated (Schwarz), and ln of the
+    samples for each row that is chosen.
 
     Args:
         screened: with the faults found.
@@ -272,7 +292,8 @@ def price(screened: ScreenedPoses, numbers: float, samples: int) -> float:
     corrections = [(screen, fault) for screen in SCREENS for fault in screened.found if fault.code in screen.codes]
     quantities = sum(screen.estimated(fault) for screen, fault in corrections)
     located = sum(screen.located for screen, _ in corrections)
-    return 0.5 * quantities * float(np.log(numbers)) + located * float(np.log(samples))
+    of_priors = sum(screened.prior.cost(screen.prior) for screen, _ in corrections if screen.prior)
+    return of_priors + 0.5 * quantities * float(np.log(numbers)) + located * float(np.log(samples))
 
 
 # a second thread gains little on matrices of this size, and costs many times as much where another job has a core
