@@ -26,6 +26,7 @@ _SHARE = 0.02  # of a number, by which it is changed for a derivative
 _LEAST_SEEN = 0.05  # of what an effect does, that the servos' numbers cannot do
 _MOST_MOVED = 0.1  # rad RMS that an effect may do
 _SMOOTH = 0.05  # s, over which commands are smoothed to know what they ask for
+_AT_REST = 1e-9  # rad/s, the speed of a joint that is to stand still
 _ELSEWHERE = (
     *("command_delay", "coulomb_friction", "servo_stiffness", "joint_spring", "encoder_offset", "link_mass"),
     "link_com",
@@ -163,7 +164,7 @@ def _draw(name: str, rng: np.random.Generator, view: View, limits: dict[str, Arr
         }
         values["speed"] = float(rng.uniform(0.05, 0.4)) * values["fastest"]
         values["rest"] = float(np.percentile(view.commands.u[..., joint - 1], rng.uniform(20, 80)))
-        values["droop"] = float(rng.uniform(0.1, 0.5)) / values["fastest"]
+        values["droop"] = float(rng.uniform(0.1, 0.5)) / max(values["fastest"], _AT_REST)
         values["order"] = float(rng.choice([float(rng.integers(2, 40)), rng.uniform(2, 40)]))
         values["rise"] = float(np.arcsin(rng.uniform(-1, 1)))
         site = site_of(name, joint)

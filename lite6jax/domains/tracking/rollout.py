@@ -629,10 +629,12 @@ def _roll(
         *_, x, rubbing, _ = (part[0] for part in by_step)
         error = first_command - q
         error = error - jnp.clip(error, -p.dead_band, p.dead_band)
-        # an integral part has balanced the load, and drives a joint that rests until friction alone holds it back
+        # an integral part has balanced the load, and drives a joint that rests until friction alone holds it back; what
+        # the error exerts is balanced where friction is too weak to hold it
         balance = carried + p.spring * q + p.spring_torque + x - p.stiffness * error
         most = jnp.maximum(p.coulomb + rubbing, 0.0) + p.stribeck + p.load_friction * jnp.abs(carried)
-        balance = balance + jnp.clip(p.integral * error * _RESTED, -most, most)
+        held = jnp.where(jnp.abs(p.stiffness * error) <= most, p.stiffness * error, 0.0)
+        balance = balance + jnp.clip(held + p.integral * error * _RESTED, -most, most)
         summed = jnp.where(p.integral > 0, balance / jnp.where(p.integral > 0, p.integral, 1.0), 0.0)
         at_rest = first_command, first_command, first_command, summed, error
         fresh = _LaneState(q, v, zero, *at_rest, q, first_load, first_load, zero)
