@@ -57,6 +57,8 @@ _DAMPING = (0.1, 1.0, 10.0, 100.0)
 """Of the damping of the step before: those of the steps that are tried."""
 _FIRST_DAMPING = 1e-2
 _LEAST_DAMPING = 1e-8
+_MOST_DAMPING = 1.0
+"""Of a step that improves nothing, up to which shorter ones are tried."""
 _CONVERGED = 1e-4
 """Share of the sum of squares that a last step gains."""
 _FARTHEST = 1.0
@@ -146,6 +148,9 @@ class _Lanes:
                 sums = self.squares(model.joint, readouts, masks[k])
                 best = int(np.argmin(sums))
                 if not sums[best] < squares[k]:
+                    damping[k] *= _DAMPING[-1]
+                    if damping[k] <= _MOST_DAMPING:
+                        going.append(k)
                     continue
                 if sums[best] < (1 - _CONVERGED) * squares[k]:
                     going.append(k)
