@@ -67,6 +67,13 @@ def link_parameters(arm: Arm) -> Numbers:
     return np.hstack([arm.mass[:, None], first, frames.six_entries(about_origin)])
 
 
+def declared_links(arm: Arm) -> Numbers:
+    """(joint, 10), as `link_parameters`; zero of an arm whose masses are not declared."""
+    if arm.mass is None:
+        return np.zeros((arm.dof, 10))
+    return link_parameters(arm)
+
+
 class _Motion(NamedTuple):
     """The motion of a link's frame in its own axes; each component (sample,), or (link, sample) of all."""
 

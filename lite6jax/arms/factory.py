@@ -328,18 +328,23 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
         InputError: another form or number of joints, a number that is not finite, or as `storage.write_atomically`.
     """
     rows = np.asarray(kinematics, np.float64)
-    if form not in ("vendor", "ur"):
+    if form == "ur":
+        joints = entries.UR_JOINTS
+        fitting = len(rows) == 6
+        expected_shape = "(6, 6)"
+    elif form == "vendor":
+        joints = [f"joint{i + 1}" for i in range(len(rows))]
+        fitting = 0 < len(rows) <= MOST_JOINTS
+        expected_shape = "(joint, 6)"
+    else:
         raise InputError(f"{path}: no form {form!r} of factory files; write 'vendor' or 'ur'")
-    fitting = len(rows) == 6 if form == "ur" else 0 < len(rows) <= MOST_JOINTS
     if rows.ndim != 2 or rows.shape[1] != 6 or not fitting:
-        expected_shape = "(6, 6)" if form == "ur" else "(joint, 6)"
         raise InputError(
             f"{path}: the {form} form holds an array {expected_shape}, not {rows.shape}; choose another form"
         )
     if not np.isfinite(rows).all():
         joint = int(np.argmax(~np.isfinite(rows).all(axis=1))) + 1
         raise InputError(f"{path}: joint{joint} has a number that is not finite; nothing is written")
-    joints = entries.UR_JOINTS if form == "ur" else [f"joint{i + 1}" for i in range(len(rows))]
     content = {
         joint: dict(zip(entries.SIX, row.tolist(), strict=True)) for joint, row in zip(joints, rows, strict=True)
     }

@@ -229,11 +229,12 @@ def recording_problem(
     rotation = measured_rotations(recording)
     pose = recording.position
     assert pose is not None
+    declared = (settings.position_noise_m, None)
     if rotation is not None:
+        declared = (settings.position_noise_m, settings.orientation_noise_rad)
         T = np.zeros((recording.samples, 4, 4))
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = rotation, pose, 1.0
         pose = T
-    declared = (settings.position_noise_m, None if rotation is None else settings.orientation_noise_rad)
     observed = None if recording.readings is None else recording.readings.seen
     spread = None
     if observed is not None:
@@ -241,8 +242,11 @@ def recording_problem(
         spread = U @ np.swapaxes(U, 1, 2)
         variance = np.diagonal(spread, axis1=1, axis2=2)
         declared = float(np.sqrt(variance[:, :3].mean())), float(np.sqrt(variance[:, 3:].mean()))
-    noise = (declared[0] or UNDECLARED_NOISE[0], None if rotation is None else declared[1] or UNDECLARED_NOISE[1])
-    lacking = [declared[0] is None, rotation is not None and declared[1] is None]
+    noise = (declared[0] or UNDECLARED_NOISE[0], None)
+    lacking = [declared[0] is None, False]
+    if rotation is not None:
+        noise = (noise[0], declared[1] or UNDECLARED_NOISE[1])
+        lacking[1] = declared[1] is None
     if any(lacking):
         quantities = "positions" if lacking[0] else "orientations"
         if all(lacking):

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
 from lite6jax.effects.effect import Effect
+from lite6jax.estimation.projection import diagonal_root
 
 Array = NDArray[np.floating]
 Flags = NDArray[np.bool_]
@@ -128,7 +129,7 @@ def independent_directions(covariance: Array) -> Array:
 
     Numbers that no row shows are as uncertain as their prior, and cancel: the directions are independent.
     """
-    root = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
+    root = diagonal_root(covariance)
     eigenvalues, V = np.linalg.eigh(covariance / np.outer(root, root))
     return (V * np.sqrt(np.maximum(eigenvalues, 0.0)) * root[:, None]).T
 

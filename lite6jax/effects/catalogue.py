@@ -277,6 +277,11 @@ class Listed:
     in_simulators: dict[str, str]
     resembles: tuple[dict[str, Any], ...]
 
+    @property
+    def simulated(self) -> bool:
+        """Tells whether it acts in motors or servos, as parameters of simulators do, and not on the arm's geometry."""
+        return self.domain != "kinematic"
+
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
         return asdict(self)

@@ -51,12 +51,17 @@ def orthonormal(rows: Array, rounding: float) -> Array:
     return np.linalg.inv(np.linalg.cholesky(basis @ basis.T)) @ basis
 
 
+def diagonal_root(H: Array) -> Array:
+    """`(number,)`, the root of the diagonal of H, never zero: its outer product scales H to unit diagonal."""
+    return np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+
+
 def half_inverse(H: Array, rounding: float) -> tuple[Array, float]:
     """T `(number, rank)` with T Tᵀ the inverse of a positive semidefinite H, and the logarithm of its determinant.
 
     Directions without information, after H is scaled to unit diagonal, count in neither.
     """
-    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+    root = diagonal_root(H)
     C = H / np.outer(root, root)
     factor = _cholesky(C, _CLEARLY * rounding)
     if factor is not None:
@@ -181,7 +186,7 @@ def scaled_inverse(H: Array, rounding: float = ROUNDING) -> Array:
 
 def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-12) -> Array:
     """The Schur complement `(number, number)` of a Gram matrix G: products of columns outside the span of `known`."""
-    size = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
+    size = diagonal_root(G)
     C = G / np.outer(size, size)
     inverse = np.linalg.pinv(C[np.ix_(known, known)], rcond=rounding, hermitian=True)
     return (C - C[:, known] @ inverse @ C[known]) * np.outer(size, size)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc, fdtrc, stdtrit
 
-from lite6jax.estimation.projection import scaled_inverse
+from lite6jax.estimation.projection import diagonal_root, scaled_inverse
 
 Array = NDArray[np.floating]
 
@@ -72,7 +72,7 @@ class ArmLikelihoods:
         shrunk = 1 / (1 + tau**2 * values)
         M = np.einsum("aij,aj,akj->ik", U, values * shrunk, U) + np.diag(self.typical**2 / self.variance)
         v = np.einsum("aij,aj->i", U, shrunk * along)
-        root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
+        root = diagonal_root(M)
         scaled, V = np.linalg.eigh(M / np.outer(root, root))
         determined = scaled > _RANK
         inverse = (V[:, determined] / scaled[determined]) @ V[:, determined].T / np.outer(root, root)
@@ -123,7 +123,7 @@ class Hierarchy:
         arms = replace(self.arms, variance=np.inf)
         values, _, along = arms.eigen
         mean, M, *_ = arms.solved(0.0)
-        root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
+        root = diagonal_root(M)
         determined = np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True)
         shown = values > 0
         separate_statistic = float(np.sum(along[shown] ** 2 / values[shown]))

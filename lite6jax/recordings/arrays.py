@@ -14,6 +14,7 @@ import scipy  # whose parts are imported where they are first used: `spatial` ta
 from numpy.typing import NDArray
 
 from lite6jax.errors import InputError
+from lite6jax.formatting import shortened
 from lite6jax.recordings.table import RawTable
 
 Array = NDArray[Any]
@@ -54,9 +55,8 @@ def tabulate_arrays(arrays: Mapping[str, Array], source: str, notes: list[str]) 
         columns |= dict(_columns(name, array, _element_names(labels, name, array)))
     columns |= {name: array.astype(object) for name, array in labels.items() if array.shape == (samples,)}
     if left_out:
-        shown = ", ".join(f"{name} ({' x '.join(map(str, numbers[name].shape))})" for name in left_out[:_SHOWN])
-        more = f" and {len(left_out) - _SHOWN} more" if len(left_out) > _SHOWN else ""
-        notes.append(f"left out, as they are no columns of {samples} rows: {shown}{more}")
+        shapes = [f"{name} ({' x '.join(map(str, numbers[name].shape))})" for name in left_out]
+        notes.append(f"left out, as they are no columns of {samples} rows: {shortened(shapes, _SHOWN)}")
     if not columns:
         raise InputError(f"{source}: holds no arrays of numbers with a row for each sample; write it as CSV")
     return RawTable.of_arrays(columns)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_unit
 from lite6jax.errors import InputError
+from lite6jax.formatting import shortened
 from lite6jax.recordings.columns.column import PLACE, QUATERNION, spelled
 from lite6jax.recordings.columns.names import UR_JOINTS
 from lite6jax.recordings.streams import hold, join, said_of, said_of_commands
@@ -294,12 +295,12 @@ def _commands_among(
 
 
 def _topics_of(types: Mapping[str, str]) -> str:
-    shown = _listed([f"{topic} ({kind or 'no type'})" for topic, kind in sorted(types.items())], " and {} more")
+    shown = shortened([f"{topic} ({kind or 'no type'})" for topic, kind in sorted(types.items())], _SHOWN)
     return f"it has {shown}" if types else "it has no topics at all"
 
 
-def _listed(parts: Sequence[str], more: str = ", and {} more") -> str:
-    return ", ".join(parts[:_SHOWN]) + (more.format(len(parts) - _SHOWN) if len(parts) > _SHOWN else "")
+def _listed(parts: Sequence[str]) -> str:
+    return ", ".join(parts[:_SHOWN]) + (f", and {len(parts) - _SHOWN} more" if len(parts) > _SHOWN else "")
 
 
 def _series(path: Path, chosen: _Topic, messages: list[tuple[Any, int, int]]) -> _Series:

@@ -43,6 +43,15 @@ def unwrap(joint_position: Float[np.ndarray, "sample joint"]) -> Float[np.ndarra
     return np.where(smooth, unwrapped, joint_position)
 
 
+def interpolate_columns(
+    at: Float[np.ndarray, " instant"],
+    time: Float[np.ndarray, " sample"],
+    rows: Float[np.ndarray, "sample column"],
+) -> Float[np.ndarray, "instant column"]:
+    """Each column of rows at other times, on lines between its samples; beyond the ends the last ones."""
+    return np.stack([np.interp(at, time, column) for column in rows.T], 1)
+
+
 def contiguous_blocks(samples: int, count: int) -> list[Bool[np.ndarray, " sample"]]:
     """`count` masks, each a block of neighbouring samples; together they cover every sample once."""
     block = np.arange(samples) * count // samples

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.errors import InputError
+from lite6jax.formatting import shortened
 from lite6jax.recordings.columns.column import OF_ARRAY, QUANTITIES, name_columns
 from lite6jax.recordings.columns.sizes import without_marks
 
@@ -160,8 +161,7 @@ def blank_implausible(arrays: dict[str, Any], source: str, spelling: Mapping[str
             f"{source}: {len(rows)} of {samples} rows have numbers beyond any arm or sensor ({first}); check the unit "
             "and the column"
         )
-    more = f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
-    listed = f"; rows {', '.join(map(str, rows[:_SHOWN]))}{more}" if len(rows) > 1 else ""
+    listed = f"; rows {shortened(rows.tolist(), _SHOWN)}" if len(rows) > 1 else ""
     return [f"numbers beyond any arm or sensor count as missing: {first}{listed}"]
 
 

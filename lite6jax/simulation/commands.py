@@ -22,7 +22,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import ServoSettings
-from lite6jax.simulation.motions import PAUSE_S, SINES, SPEED, joint_ranges, make_generator, visit
+from lite6jax.simulation.motions import SINES, SPEED, check_size, joint_ranges, make_generator, place_samples, visit
 
 Array = NDArray[np.floating]
 Runs = NDArray[np.integer]
@@ -82,16 +82,10 @@ def draw_commands(
     """
     if arm.sliding:
         raise InputError(f"{arm.name}: has prismatic joints, whose commands are not simulated; choose another arm")
-    if runs < 1 or samples < FEWEST * runs:
-        raise InputError(f"simulation: {samples} samples in {runs} runs; give at least {FEWEST} a run, and one run")
-    for name, value in (("step", step), ("speed", speed)):
-        if not 0 < value < np.inf:
-            raise InputError(f"simulation: {name} is {value}; give a number above 0")
+    check_size(samples, runs, FEWEST, step, speed)
     rng = make_generator(seed, "motion")
-    run = np.arange(samples) * runs // samples
-    within = np.arange(samples) - np.searchsorted(run, run)
-    time = step * (np.arange(samples) - run) + PAUSE_S * run
-    parts = [_draw_run(arm, step * within[run == number], speed, rng) for number in range(runs)]
+    run, time, since_start = place_samples(samples, runs, step)
+    parts = [_draw_run(arm, since_start[run == number], speed, rng) for number in range(runs)]
     return time, np.concatenate(parts), run
 
 

@@ -59,6 +59,27 @@ def make_generator(seed: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng([seed, _PURPOSES.index(purpose)])
 
 
+def check_size(samples: int, runs: int, fewest: int, step: float, speed: float) -> None:
+    """Checks how many samples and runs of them are asked for, and the numbers of their motion.
+
+    Raises:
+        InputError: fewer samples of a run than `fewest`, or a number out of its range.
+    """
+    if runs < 1 or samples < fewest * runs:
+        raise InputError(f"simulation: {samples} samples in {runs} runs; give at least {fewest} a run, and one run")
+    for name, value in (("step", step), ("speed", speed)):
+        if not 0 < value < np.inf:
+            raise InputError(f"simulation: {name} is {value}; give a number above 0")
+
+
+def place_samples(samples: int, runs: int, step: float) -> tuple[NDArray[np.integer], Array, Array]:
+    """`(sample,)`: the run of each of some samples, its time, and the time since the start of its run, both in s."""
+    sample = np.arange(samples)
+    run = sample * runs // samples
+    since_start = step * (sample - np.searchsorted(run, run))
+    return run, step * (sample - run) + PAUSE_S * run, since_start
+
+
 def draw_calibration(arm: Arm, seed: int = 0, *, length: float = 0.8e-3, angle: float = np.deg2rad(0.15)) -> Array:
     """The kinematics of one arm as manufactured: the nominal one with a normal error in each number.
 
@@ -182,15 +203,11 @@ def draw_motion(
     if samples is None:
         samples = SAMPLES[kind]
     fewest = 2 if kind == "trajectory" else 1
-    if runs < 1 or samples < fewest * runs:
-        raise InputError(f"simulation: {samples} samples in {runs} runs; give at least {fewest} a run, and one run")
     if step is None:
         step = STEP_S[kind]
-    for name, value in (("step", step), ("speed", speed)):
-        if not 0 < value < np.inf:
-            raise InputError(f"simulation: {name} is {value}; give a number above 0")
+    check_size(samples, runs, fewest, step, speed)
     rng = make_generator(seed, "motion")
-    run = np.arange(samples) * runs // samples
+    run, time, since_start = place_samples(samples, runs, step)
     velocity = None
     if kind == "static":
         center, half = joint_ranges(arm)
@@ -198,9 +215,7 @@ def draw_motion(
         position = center + half * (2 * (order + rng.random((samples, arm.dof))) / samples - 1)
         time = step * np.arange(samples)
     else:
-        within = step * (np.arange(samples) - np.searchsorted(run, run))
-        time = step * (np.arange(samples) - run) + PAUSE_S * run
-        parts = [draw_sines(arm, rng, speed).at(within[run == number]) for number in range(runs)]
+        parts = [draw_sines(arm, rng, speed).at(since_start[run == number]) for number in range(runs)]
         position, velocity = (np.concatenate(part) for part in zip(*parts, strict=True))
     return make_motion(
         arm, position, kind, time=time, velocity=velocity, run=run, payload=payload, warm_up=warm_up, settings=settings

@@ -11,7 +11,7 @@ from lite6jax.arms.arm import Arm, as_revolute
 from lite6jax.domains.torque.rows import bodies_of, require_joints
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-from lite6jax.recordings.sequence import run_segments
+from lite6jax.recordings.sequence import interpolate_columns, run_segments
 
 Array = NDArray[np.floating]
 
@@ -123,18 +123,13 @@ def _at_times_of(
         since, reference_times = (
             side[part] - side[part[0]] for side, part in ((recording.time, rows), (reference.time, reference_rows))
         )
-        at[rows] = _interpolated(since, reference_times, torque[reference_rows])
+        at[rows] = interpolate_columns(since, reference_times, torque[reference_rows])
         near = (since >= reference_times[0]) & (since <= reference_times[-1])
         for mine, its, tolerance, unit in zip(*states, SAME_STATE, ("rad", "rad/s"), strict=True):
-            away = np.abs(mine[rows] - _interpolated(since, reference_times, its[reference_rows]))
+            away = np.abs(mine[rows] - interpolate_columns(since, reference_times, its[reference_rows]))
             near &= as_revolute(away.T, unit, slides).max(0) <= tolerance
         if near.mean() < _NEARLY:
             return None
         first, last = np.flatnonzero(near)[[0, -1]]
         matching[rows[first : last + 1]] = True
     return matching, at
-
-
-def _interpolated(time: Array, sample_times: Array, rows: Array) -> Array:
-    """`(sample, joint)` at times, of rows at known times; beyond the ends the last ones."""
-    return np.stack([np.interp(time, sample_times, column) for column in rows.T], 1)

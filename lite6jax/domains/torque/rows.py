@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters, recorded_regressor
+from lite6jax.arms.dynamics import declared_links, recorded_regressor
 from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
@@ -207,7 +207,7 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     )
     settings = recording.settings
     center = arm.T_joint_flange[:3, :3] @ np.array(settings.payload_com_m) + arm.T_joint_flange[:3, 3]
-    links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+    links = declared_links(arm)
     gravity = np.array(settings.gravity_m_per_s2)
     bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics), declared_torque(arm, moved))
     return bodies, chosen, smooth.cutoff

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters
+from lite6jax.arms.dynamics import declared_links
 from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
@@ -45,7 +45,7 @@ from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.files import read_commands
-from lite6jax.recordings.sequence import held_rows
+from lite6jax.recordings.sequence import held_rows, interpolate_columns
 from lite6jax.recordings.settings import ServoSettings
 from lite6jax.results import PublicResult
 
@@ -363,7 +363,7 @@ class DiagnosedServos(JointModel):
             return self._correct_run(time[0] + np.array([0.0, self.step]), np.vstack([wanted, wanted]), twice)[:1]
         period = float(np.median(np.diff(time)))
         grid = time[0] + period * np.arange(int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1)
-        even = np.stack([np.interp(grid, time, column) for column in wanted.T], 1)
+        even = interpolate_columns(grid, time, wanted)
         held = held_rows(time, grid, period)
         even_warmth = None if warmth is None else warmth[held]
 
@@ -374,7 +374,7 @@ class DiagnosedServos(JointModel):
         mass = model.bodies.masses(even.T).mean(1)
         response = responses(model.servo, mass, period, self.step, self.interpolated)
         command = correct(follow, even, response, period, self.joint_limits).command
-        return np.stack([np.interp(time, grid, column) for column in command.T], 1)
+        return interpolate_columns(time, grid, command)
 
     def _predict_run(self, time: Array, command: Array, warmth: Array | None) -> tuple[Array, Beyond]:
         """`(sample, joint)` rad, and where it is beyond what was fitted, of one run."""
@@ -395,7 +395,7 @@ class DiagnosedServos(JointModel):
         held = held_rows(time, grid, period)
         u = command[held]
         if self.interpolated:
-            u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
+            u = interpolate_columns(grid, time, command)
         run = np.zeros(len(u), int)
         begun = u
         if self.friction_share is not None:
@@ -409,7 +409,7 @@ class DiagnosedServos(JointModel):
         of_driver = self._driver_beyond(readout, given)[before:]
         beyond = find_beyond(self.ranges, self.bodies, readout[:, before:], period)._replace(driver=of_driver)
         of_run = grid[before:]
-        position = np.stack([np.interp(time, of_run, row[before:]) for row in readout], 1)
+        position = interpolate_columns(time, of_run, readout[:, before:].T)
         rows = held_rows(of_run, time, period)
         return position, beyond.at(rows)
 
@@ -502,7 +502,7 @@ def describe_servos(
     return DiagnosedServos(
         arm=arm,
         servo=servo,
-        links=np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm)),
+        links=declared_links(arm),
         payload_center=bodies.payload_center,
         payload=payload,
         gravity=gravity,

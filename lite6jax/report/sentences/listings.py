@@ -27,7 +27,7 @@ def listed_effect(effect: "Listed") -> list[str]:
     if effect.parameters:
         numbers = zip(effect.parameters, effect.possible, strict=True)
         lines.append(f"Numbers: {'; '.join(_number_with_ends(name, *ends) for name, ends in numbers)}.")
-    if effect.domain != "kinematic":
+    if effect.simulated:
         lines.append(_simulators(effect))
     lines += [
         f"Looks like {joined(group['effects'], 'or')} {group['alike']}. Told apart by {group['told_apart']}."
