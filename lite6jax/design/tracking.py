@@ -362,7 +362,7 @@ class Information:
             columns = np.arange(len(changes), len(changes) + len(rivals))
             changes += rivals
             beside = len(changes)
-            for effect, part in zip(others[0].terms, others[0].slices, strict=True):
+            for effect, part in others[0].pairs:
                 assert isinstance(effect, Effect)
                 at = others[1][part]
                 rest = others[0].part(others[1], [term != effect for term in others[0].terms])

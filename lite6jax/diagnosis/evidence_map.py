@@ -315,8 +315,10 @@ def _friction_at(diagnosis: TorqueDiagnosis, chosen: Sequence[int], j: int, velo
         effect = fit.terms.terms[k]
         assert isinstance(effect, TorqueEffect)
         total = total + effect.torque(fit.values[fit.terms.slices[k]], typical)[j]
-    scales = zip(fit.terms.terms, fit.terms.slices, strict=True)
-    return total * (1 + sum(fit.values[part][0] for e, part in scales if isinstance(e, Scaling) and e.joint == j + 1))
+    scales = (
+        fit.values[part][0] for effect, part in fit.terms.pairs if isinstance(effect, Scaling) and effect.joint == j + 1
+    )
+    return total * (1 + sum(scales))
 
 
 def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:

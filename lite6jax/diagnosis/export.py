@@ -98,7 +98,7 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
     left_out = []
     total = dense(Deflection(), model.dof, 1)
     still = motion_of(np.zeros((1, model.dof)), sliding=model.sliding)
-    for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
+    for effect, part in model.physics.pairs:
         deflection = None
         if isinstance(effect, Bending) and not effect.drivers:
             deflection = dense(effect.deflect(jnp.asarray(model.values)[part], still, None), model.dof, 1)
@@ -150,7 +150,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
     springs = np.zeros((2, arm.dof))  # of each joint its stiffness, and its torque at zero
     if arm.spring_stiffness is not None and arm.spring_rest is not None:
         springs = np.stack([arm.spring_stiffness, -arm.spring_stiffness * arm.spring_rest])
-    for effect, part in zip(model.terms.terms, model.terms.slices, strict=True):
+    for effect, part in model.terms.pairs:
         values = model.values[part]
         arm_numbers, phrase = _held(effect, values, model)
         for kind, value in arm_numbers.items():

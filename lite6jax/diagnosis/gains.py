@@ -121,7 +121,7 @@ def _servo(commands: DomainDiagnosis[TrackingProblem], joint: int, covariance: A
             by_gain[k] = float(unknown.field == "stiffness")
             by_friction[k] = friction * float(unknown.field == "coulomb")
     unknown_count = len(problem.unknowns)
-    for effect, numbers in zip(fit.terms.terms, fit.terms.slices, strict=True):
+    for effect, numbers in fit.terms.pairs:
         if not isinstance(effect, Effect):
             continue
         if effect == ServoStiffness(joint):

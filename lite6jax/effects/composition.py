@@ -65,6 +65,11 @@ class Physics:
         ends = np.cumsum([0] + [effect.size for effect in self.effects]).tolist()
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
+    @cached_property
+    def pairs(self) -> tuple[tuple[Effect, slice], ...]:
+        """Each effect with the part of `values` that belongs to it."""
+        return tuple(zip(self.effects, self.slices, strict=True))
+
     @property
     def loaded(self) -> bool:
         """Whether any effect depends on the loads of gravity."""
@@ -116,14 +121,14 @@ class Physics:
 
     def alter(self, values: Array, motion: Motion) -> Motion:
         """The true motion, by the effects of the clock and of the payload."""
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Altering):
                 motion = effect.alter(values[part], motion)
         return motion
 
     def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
         """The true masses and gravity, by the effects of the payload and of gravity."""
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Loading):
                 inertia = effect.alter_inertia(values[part], inertia)
         return inertia
@@ -131,7 +136,7 @@ class Physics:
     def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
         """The sum of all deflections in a motion returned by `alter`."""
         total = Deflection()
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Bending):
                 total = total + effect.deflect(values[part], motion, loads)
         return total
@@ -139,7 +144,7 @@ class Physics:
     def beyond(self, values: Array, motion: Motion) -> Array:
         """`(sample,)` bool: rows whose prediction requires the motion beyond the ends of its run, by a clock offset."""
         outside = jnp.zeros(motion.samples, bool)
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Altering):
                 outside = outside | effect.beyond(values[part], motion)
         return outside
@@ -153,10 +158,7 @@ class Physics:
         """
         values = np.asarray(values, float)
         C = None if covariance is None else np.asarray(covariance, float)
-        return [
-            effect.reported(values[part], None if C is None else C[part, part])
-            for effect, part in zip(self.effects, self.slices, strict=True)
-        ]
+        return [effect.reported(values[part], None if C is None else C[part, part]) for effect, part in self.pairs]
 
 
 def missing(effect: Effect, motion: Motion, loads_known: bool) -> Driver | None:

@@ -210,9 +210,10 @@ class EmulatedArm:
     @cached_property
     def _motor_effects(self) -> list[tuple[TorqueEffect, Array]]:
         """The effects on torques, and those on poses and on following of which the motors see the cause as well."""
-        placed_effects = zip(self.physics.effects, self.physics.slices, strict=True)
         shared = (
-            (_CAUSES_OF_BOTH[e.name](), self.values[part]) for e, part in placed_effects if e.name in _CAUSES_OF_BOTH
+            (_CAUSES_OF_BOTH[effect.name](), self.values[part])
+            for effect, part in self.physics.pairs
+            if effect.name in _CAUSES_OF_BOTH
         )
         followed = ((effect, values) for effect, values in self.followed if isinstance(effect, TorqueEffect))
         return [*self.torque_effects, *shared, *followed]
@@ -222,9 +223,8 @@ class EmulatedArm:
         """The effects on how the arm follows its commands, each with its values."""
         if self.servos is None:
             return []
-        terms = self.servos.terms
-        placed_terms = zip(terms.terms, terms.slices, strict=True)
-        return [(term, self.servos.values[part]) for term, part in placed_terms if isinstance(term, Effect)]
+        servos = self.servos
+        return [(term, servos.values[part]) for term, part in servos.terms.pairs if isinstance(term, Effect)]
 
     @property
     def torque_offset(self) -> Array:

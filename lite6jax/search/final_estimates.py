@@ -48,7 +48,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     shares = np.divide(np.diagonal(of_inputs), variance, out=np.zeros_like(variance), where=variance > 0)
     tested = tuple(
         replace(test, term=term, chosen_std=std, input_share=float(np.clip(np.max(shares[part]), 0.0, 1.0)))
-        for test, term, std, part in zip(state.tested, fitted.terms.terms, stds, fitted.terms.slices, strict=True)
+        for test, (term, part), std in zip(state.tested, fitted.terms.pairs, stds, strict=True)
     )
     return replace(state, fit=fitted, tested=tested)
 
@@ -103,7 +103,7 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
     """The fit with exact derivatives, and with the chosen numbers of some terms free."""
     terms = []
     values = []
-    for term, part, is_free in zip(fitted.terms.terms, fitted.terms.slices, free, strict=True):
+    for (term, part), is_free in zip(fitted.terms.pairs, free, strict=True):
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
     start = join(values)

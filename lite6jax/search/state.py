@@ -119,7 +119,7 @@ def refitted(
         nuisance = state.baseline.nuisance_about(problem)
         bare = fit(problem, terms, options, None, nuisance, f.training, f.noise, whitened=whitened)
         return replace(state, fit=bare, tested=())
-    present = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
+    present = {term: f.values[part] for term, part in f.terms.pairs}
     values_by_term = {**(starts or {}), **present}
     start = join([values_by_term.get(term, np.zeros(term.size)) for term in terms.terms])
     again = fit(problem, terms, options, start, f.nuisance, f.training, f.noise, whitened=whitened)

@@ -157,12 +157,10 @@ class TrackingSimulation:
     @property
     def reported(self) -> list[tuple[Effect, dict[str, Estimate]]]:
         """The effects, each with its parameters."""
-        terms = self.model.terms
         values = self.model.values
-        effects = zip(terms.terms, terms.slices, strict=True)
         return [
             (effect, effect.reported(values[part], np.zeros((effect.size, effect.size))))
-            for effect, part in effects
+            for effect, part in self.model.terms.pairs
             if isinstance(effect, Effect)
         ]
 

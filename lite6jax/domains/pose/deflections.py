@@ -199,7 +199,7 @@ class Deflections:
             effects: beside it; those that depend on loads deflect the arm, and further ones alter the loads as well.
             values: `(effects.size,)`.
         """
-        pairs = [(term, np.asarray(values)[part]) for term, part in zip(effects.effects, effects.slices, strict=True)]
+        pairs = [(term, np.asarray(values)[part]) for term, part in effects.pairs]
         bending = [pair for pair in pairs if isinstance(pair[0], Bending) and any(d.loaded for d in pair[0].drivers)]
         if not bending:
             return Deflection(scale=np.zeros((effect.size, self.motion.samples)))  # type: ignore[arg-type]
@@ -230,7 +230,7 @@ class Deflections:
             values: `(effects.size,)`.
         """
         total = Deflection(scale=np.zeros((len(masses), self.motion.samples)))  # type: ignore[arg-type]
-        for effect, part in zip(effects.effects, effects.slices, strict=True):
+        for effect, part in effects.pairs:
             if isinstance(effect, Bending) and any(driver.loaded for driver in effect.drivers):
                 deflected = partial(effect.deflect, values[part], self.host_motion)  # type: ignore[arg-type]
                 pairs = self._loads_by_mass(tuple(masses))

@@ -125,7 +125,6 @@ def model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, 
     limits = model.joint_limits
     zero = np.asarray(model.joint_zero)
     masses = model.inertia
-    parts = list(zip(model.physics.effects, model.physics.slices, strict=True))
     return {
         "arm": model.arm,
         "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
@@ -137,5 +136,5 @@ def model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, 
         "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
         "motion": model.motion,
         "accelerated": model.accelerated,
-        **shared_fields(model, parts, covariances),
+        **shared_fields(model, model.physics.pairs, covariances),
     }

@@ -445,7 +445,7 @@ class Derivatives:
         units = []
         if masses:
             units = [self._deflections.through_masses(masses, physics, values)]
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
+        for effect, part in physics.pairs:
             free_effect = freed(effect)
             at = values[part]
             if free_effect is not effect and effect.chosen is not None:

@@ -226,7 +226,7 @@ class PoseProblem(RigidArm):
         jacobian = np.empty(
             (term_set.size, self.rows, self.samples)
         )  # half a gigabyte of a real arm: written in its place
-        for effect, part in zip(term_set.terms, term_set.slices, strict=True):
+        for effect, part in term_set.pairs:
             assert isinstance(effect, Effect)
             if (factored := self.factored(effect)) is not None:
                 block = jacobian[part].reshape(len(factored.site), -1, self.rows, self.samples)
@@ -261,7 +261,7 @@ class PoseProblem(RigidArm):
         def through_masses(effect: Effect, numbers: Array) -> Array:
             return columns_of(at.through_masses(self.masses, Physics((effect,)), numbers), self.sites)
 
-        for effect, part in zip(physics.effects, physics.slices, strict=True) if physics.loaded else ():
+        for effect, part in physics.pairs if physics.loaded else ():
             if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:
                 continue  # a function of the loads as declared, or of none
             numbers = np.asarray(values, float)[part]
@@ -481,7 +481,7 @@ class PoseProblem(RigidArm):
             motion = host_motion = self.deflections.altered_motion(physics, values)
         if physics.loaded and (physics.altering or errors is not None):
             on_arm = self.deflections.loads_in(host_motion, physics, values, errors)
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
+        for effect, part in physics.pairs:
             heavy = not effect.nonparametric and any(driver.loaded for driver in effect.drivers)
             changed = physics.altering or (errors is not None and heavy)
             if effect.linear and not changed:

@@ -55,7 +55,7 @@ _STEP = 1e-4
 def pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
     """The effects that are the terms of a torque problem, each with the place of its numbers."""
     effects = []
-    for term, part in zip(terms.terms, terms.slices, strict=True):
+    for term, part in terms.pairs:
         assert isinstance(term, TorqueEffect)
         effects.append((term, part))
     return effects

@@ -80,7 +80,7 @@ class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
 
 def model_entry(model: DiagnosedServos, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
-    parts: list[tuple[Any, slice]] = list(zip(model.terms.terms, model.terms.slices, strict=True))
+    parts: list[tuple[Any, slice]] = [*model.terms.pairs]
     reversal = [] if model.ranges.reversal is None else model.ranges.reversal.tolist()
     return {
         **joint_fields(model),

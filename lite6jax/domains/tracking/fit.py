@@ -83,7 +83,7 @@ class ServoFit:
         Those of stiffness and damping are ratios to `start`.
         """
         by_label = {}
-        for term, part in zip(self.fit.terms.terms, self.fit.terms.slices, strict=True):
+        for term, part in self.fit.terms.pairs:
             assert isinstance(term, Effect)
             by_label[term.label] = term.reported(self.fit.values[part], self.fit.covariance[part, part])
         return by_label

@@ -155,7 +155,7 @@ def with_effect(model: TrackingModel, effect: Effect, values: Array, coupled: bo
 def compose(base: TrackingModel, terms: Terms, values: Array, coupled: bool = True) -> TrackingModel:
     """A model with the effects that are some terms; arguments as of `with_effect`."""
     model = base
-    for term, part in zip(terms.terms, terms.slices, strict=True):
+    for term, part in terms.pairs:
         assert isinstance(term, Effect)
         model = with_effect(model, term, np.asarray(values[part], float), coupled)
     numbers = model.servo._asdict()
