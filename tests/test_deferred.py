@@ -114,7 +114,7 @@ LIGHT = ("lite6jax.estimation", "lite6jax.estimation.robust", "lite6jax.estimati
 
 @pytest.mark.parametrize(
     ("command", "most"),
-    [(["fit", "arm.yaml", "--out", "model.json"], 95), (["convert", "arm.yaml", "arm.urdf"], 79)],
+    [(["fit", "arm.yaml", "--out", "model.json"], 96), (["convert", "arm.yaml", "arm.urdf"], 80)],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )
 def test_a_command_that_does_not_diagnose_imports_no_engine(tmp_path, command, most):

@@ -21,10 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
 from lite6jax.arms.chains import BASE, DH_COLUMNS, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
+from lite6jax.array_types import Array, Mask
 from lite6jax.errors import InputError, InputWarning, command_line
 
-Array = NDArray[np.floating]
-Irregular = list[tuple[NDArray[np.bool_], str]]
+Irregular = list[tuple[Mask, str]]
 
 _UPRIGHT = np.cos(np.deg2rad(85.0))
 _PARALLEL = np.sin(np.deg2rad(30.0))

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import frames
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")

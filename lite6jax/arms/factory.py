@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
@@ -18,9 +18,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import DH_COLUMNS
 from lite6jax.arms.description import bundled_of, maker_of
 from lite6jax.arms.dh import SIZE_LIMIT, hayati_to_six_parameter, is_table, read_table, six_parameter_to_hayati
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError, InputWarning
-
-Array = NDArray[np.floating]
 
 # m; a calibration within this RMS distance of a model is recognised as that model, of several as the nearest. A real
 # xArm 7 is 8.5 mm from its nominal, and the two most similar models (UR3, UR3e) differ by 21 mm.

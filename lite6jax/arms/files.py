@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames, mjcf, urdf
@@ -31,9 +30,9 @@ from lite6jax.arms.factory import (
 )
 from lite6jax.arms.mjcf import read_mjcf, require_mujoco, write_mjcf
 from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, LimitKey, read_urdf, write_into_urdf, write_urdf
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 
-Array = NDArray[np.floating]
 FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description", "numpy", "isaac"]
 
 SUFFIXES: dict[FileForm, tuple[str, ...]] = {

@@ -4,9 +4,9 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 BLOCK = 4096
 """Samples whose frames stay in a core's cache: those of all samples would also take a kilobyte each."""

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.calibration.residual import POSE, POSITION
 from lite6jax.calibration.source import arm_of
 from lite6jax.calibration.start import (
@@ -27,7 +27,6 @@ from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.units import other_joints
 from lite6jax.sensors.pose import PoseSensor
 
-Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
 
 UNDECLARED_NOISE = (1e-4, 1e-3)
@@ -69,7 +68,7 @@ class CalibrationProblem:
     pose: Array
     noise: tuple[float, float | None]
     precision: Array
-    movable: NDArray[np.bool_]
+    movable: Mask
     declared_noise: tuple[float | None, float | None] = (None, None)
     by_joints: Array | None = None
     spread: Array | None = None
@@ -102,7 +101,7 @@ class CalibrationProblem:
             return 1 / np.sqrt(np.diagonal(covariance)[[0, -1]])
         return np.linalg.inv(np.linalg.cholesky(covariance))
 
-    def select(self, samples: NDArray[np.integer] | NDArray[np.bool_]) -> "CalibrationProblem":
+    def select(self, samples: Integers | Mask) -> "CalibrationProblem":
         """With some of the samples."""
         by_joints, spread = (None if part is None else part[samples] for part in (self.by_joints, self.spread))
         q = self.joint_position[samples]
@@ -128,7 +127,7 @@ class DeclaredGeometry(NamedTuple):
     known: FactoryCalibration
     form: ModelForm
     values: Array
-    movable: NDArray[np.bool_]
+    movable: Mask
     precision: Array
     uncertainty: FactoryUncertainty | None
     calibrated: bool

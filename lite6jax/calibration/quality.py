@@ -7,9 +7,9 @@ from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
+
 QualityVerdict = Literal["good", "above_noise", "bad"]
 Reason = Literal["too_far", "unrelated"]
 

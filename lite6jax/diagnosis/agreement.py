@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from lite6jax.array_types import Array
 from lite6jax.effects.effect import Estimate
-
-Array = NDArray[np.floating]
 
 DISAGREE = 0.0027
 """The probability of a difference by chance, three standard deviations, below which two estimates disagree."""

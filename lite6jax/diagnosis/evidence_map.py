@@ -7,9 +7,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from lite6jax.array_types import Array
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.partial_residuals import added_torque
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
@@ -27,8 +27,6 @@ from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.thresholds import CONFOUNDED, EXACT_BELOW
 from lite6jax.search.scan import ModelScan, Scan
 from lite6jax.search.spectrum import spectrum
-
-Array = NDArray[np.floating]
 
 _KINDS = {
     **dict.fromkeys(

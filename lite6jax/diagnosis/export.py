@@ -5,7 +5,6 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
@@ -13,6 +12,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
+from lite6jax.array_types import Array
 from lite6jax.diagnosis.document import find_part, model_from_document, parse_document
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors, motion_of_joint
@@ -37,8 +37,6 @@ from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Term
-
-Array = NDArray[np.floating]
 
 _SPEEDS = 200
 """From the fastest one way to the fastest the other, an even number: at rest friction has no direction."""

@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.diagnosis.agreement import Agreement
 from lite6jax.diagnosis.document import SCHEMA, Verdict
 from lite6jax.diagnosis.fault_alternative import FaultAlternative
@@ -22,7 +22,6 @@ from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.concentration import Concentration
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
@@ -30,7 +29,6 @@ from lite6jax.results import PublicResult
 from lite6jax.search.search import Selection
 from lite6jax.search.state import Alternative
 
-Array = NDArray[np.floating]
 P = TypeVar("P", bound=DomainProblem)
 
 AS_NOISE = 1.2

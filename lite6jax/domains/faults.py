@@ -12,13 +12,12 @@ from itertools import chain, combinations
 from typing import Any, Generic, Literal, Protocol, Self, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 
-Array = NDArray[np.floating]
 Hypothesis = tuple["SuspectedFault", ...]
 Data = TypeVar("Data")
 

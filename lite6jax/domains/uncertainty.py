@@ -10,14 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.projection import diagonal_root
 
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
 Site = tuple[str, int, int]
 """A number of the nuisance: what it is of, of which joint or frame, from 0, and which number of that."""
 
@@ -150,11 +149,11 @@ def beyond_range(values: Array, lower: ArrayLike, upper: ArrayLike, least: Array
 def widened(
     variance: Array,
     known: Uncertainty,
-    rows: NDArray[np.integer],
+    rows: Integers,
     distance: Array,
     beyond: Mapping[str, Array],
     contained: Collection[str],
-) -> tuple[Array, Flags]:
+) -> tuple[Array, Mask]:
     """The variance `(row, sample)` with that of what is left of the model, and where a motion leaves what was recorded.
 
     Args:

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import JaxArray, jnp
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Altering, Bending, Effect, Estimate, Loading, require_kind
@@ -119,21 +119,21 @@ class Physics:
             if driver is not None:
                 raise InputError(f"{effect.label}: needs the {driver.phrase}: give {driver.remedy}")
 
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         """The true motion, by the effects of the clock and of the payload."""
         for effect, part in self.pairs:
             if isinstance(effect, Altering):
                 motion = effect.alter(values[part], motion)
         return motion
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+    def alter_inertia(self, values: JaxArray, inertia: Inertia) -> Inertia:
         """The true masses and gravity, by the effects of the payload and of gravity."""
         for effect, part in self.pairs:
             if isinstance(effect, Loading):
                 inertia = effect.alter_inertia(values[part], inertia)
         return inertia
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """The sum of all deflections in a motion returned by `alter`."""
         total = Deflection()
         for effect, part in self.pairs:
@@ -141,7 +141,7 @@ class Physics:
                 total = total + effect.deflect(values[part], motion, loads)
         return total
 
-    def beyond(self, values: Array, motion: Motion) -> Array:
+    def beyond(self, values: JaxArray, motion: Motion) -> JaxArray:
         """`(sample,)` bool: rows whose prediction requires the motion beyond the ends of its run, by a clock offset."""
         outside = jnp.zeros(motion.samples, bool)
         for effect, part in self.pairs:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute
+from lite6jax.array_types import Array, Mask
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.effect import (
     Coordinate,
@@ -29,8 +29,6 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Process
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 DIRECTION_SPEED = 0.002
 """rad/s, the speed v over which the direction of motion changes its sign, as tanh(q̇ / v); of a prismatic joint it is
@@ -104,7 +102,7 @@ class Dynamics(NamedTuple):
 
 def direction(
     velocity: Array,
-    slides: bool | NDArray[np.bool_] = False,
+    slides: bool | Mask = False,
     transition: float = 0.0,
     change: Array | float = 0.0,
 ) -> Array:

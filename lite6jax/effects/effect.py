@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import joint_size, joint_unit
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import JaxArray, jnp
 from lite6jax.effects.deflection import Deflection, library_of, place_at_site
 from lite6jax.effects.drivers import Driver, driver_of, joint_driver, place_of
 from lite6jax.effects.motion import Motion
@@ -322,7 +322,7 @@ class Bending(Effect, ABC):
     """An effect that deflects the arm."""
 
     @abstractmethod
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """The deflection by `values` `(coordinate,)` in a motion."""
 
 
@@ -330,11 +330,11 @@ class FrameEffect(Bending, ABC):
     """An effect that displaces the frame at its site."""
 
     @abstractmethod
-    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def displace(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         """`(6, sample)`, the frame's twist."""
 
     @final
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """The twist at its site."""
         return place_at_site(motion.dof, self.site, self.displace(values, motion, loads))
 
@@ -343,27 +343,27 @@ class Altering(Effect, ABC):
     """An effect by which the arm's motion is another than the one declared, before loads and deflections follow."""
 
     @abstractmethod
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         """The motion as it really was."""
 
     @abstractmethod
-    def beyond(self, values: Array, motion: Motion) -> Array:
+    def beyond(self, values: JaxArray, motion: Motion) -> JaxArray:
         """`(sample,)` bool: where that takes what the motion does not hold, so that the prediction means nothing."""
 
 
 class Loading(Altering, ABC):
     """An effect by which other loads act on the arm than those declared. It shows through compliances alone."""
 
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         """The motion as it is: most such effects are of masses or of gravity."""
         return motion
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+    def alter_inertia(self, values: JaxArray, inertia: Inertia) -> Inertia:
         """The masses and gravity as they really were; as declared where the motion alone is another."""
         return inertia
 
     @final
-    def beyond(self, values: Array, motion: Motion) -> Array:
+    def beyond(self, values: JaxArray, motion: Motion) -> JaxArray:
         """No row needs what the motion does not hold."""
         return jnp.zeros(motion.samples, bool)
 
@@ -407,11 +407,11 @@ class JointEffect(OfJoint, Bending, ABC):
     """An effect that adds to one joint's position."""
 
     @abstractmethod
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         """`(sample,)` rad, m of a prismatic joint, that add to what the encoder says."""
 
     @final
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """What adds at its joint."""
         return place_at_site(motion.dof, self.site, self.angle(values, motion, loads))
 
@@ -474,7 +474,7 @@ class Wave(OfJoint, ABC):
         return values[-1] if self.order is None else self.order
 
     @final
-    def of_position(self, values: Array, position: Array) -> Array:
+    def of_position(self, values: JaxArray, position: JaxArray) -> JaxArray:
         """`(sample,)`, by `values` `(coordinate,)` at positions of the joint."""
         turned = self.order_in(values) * wave_angle(position, self.of_slide)
         xp = library_of(turned)

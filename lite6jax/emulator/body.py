@@ -6,12 +6,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.dynamics import link_parameters
+from lite6jax.array_types import Array
 from lite6jax.controller import protocol
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.predict import DiagnosedServos
@@ -28,8 +29,6 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
-
-Array = NDArray[np.floating]
 
 TYPES = {"lite6": 9, "lite6_ros": 9, "uf850": 12}
 """The vendor's numbers of the bundled models that are no xArms."""

@@ -25,9 +25,10 @@ from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.entries import suggestion
+from lite6jax.array_types import Array
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Message, Register, Status
 from lite6jax.emulator.body import SPACING_S, EmulatedArm, Load, Sample
@@ -156,8 +157,6 @@ def _parse_value(name: str, text: str, lowest: int, highest: int) -> Any:
 
 # ------------------------------------------------------------------ the controller
 
-
-Array = NDArray[np.floating]
 
 LAG_S: Final = 0.008
 """s, the delay of the joints relative to their commands: two periods of the control loop."""

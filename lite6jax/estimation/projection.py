@@ -5,11 +5,10 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.lapack import get_lapack_funcs
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array, Integers, Mask
 
 ROUNDING = 1e-13
 """Relative eigenvalue of a matrix of unit diagonal below which a direction is rounding."""
@@ -120,7 +119,7 @@ class Span:
         coming = self.changes[self.sign > 0]
         return np.concatenate([basis, coming]) if len(coming) else basis
 
-    def part(self, stays: NDArray[np.bool_], rounding: float) -> "Span":
+    def part(self, stays: Mask, rounding: float) -> "Span":
         """The span of those rows alone that stay, `(number,)`."""
         if len(self.changes):
             basis = self.basis
@@ -184,7 +183,7 @@ def scaled_inverse(H: Array, rounding: float = ROUNDING) -> Array:
     return np.linalg.pinv(C, rcond=rounding, hermitian=True) / scale
 
 
-def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-12) -> Array:
+def schur_complement(G: Array, known: Integers, rounding: float = 1e-12) -> Array:
     """The Schur complement `(number, number)` of a Gram matrix G: products of columns outside the span of `known`."""
     size = diagonal_root(G)
     C = G / np.outer(size, size)

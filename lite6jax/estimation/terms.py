@@ -7,9 +7,8 @@ from itertools import pairwise
 from typing import Any, ClassVar, Protocol, TypeGuard, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 
 class Number(Protocol):

@@ -13,13 +13,11 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc, fdtrc, stdtrit
 
+from lite6jax.array_types import Array
 from lite6jax.estimation.projection import diagonal_root, scaled_inverse
-
-Array = NDArray[np.floating]
 
 _LEVEL = 0.95
 _ROUNDING = 1e-12

@@ -24,9 +24,10 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
 from lite6jax.estimation.options import EngineOptions
@@ -45,7 +46,6 @@ from lite6jax.fleet.reduced import (
 from lite6jax.fleet.terms import CUBICS, SPLINES, FleetProcess, PooledTerm, Tested, Tried
 from lite6jax.workers import Workers
 
-Array = NDArray[np.floating]
 Way = Literal["mean", "any", "one"]
 Asked = tuple[Tested, tuple[Tested, ...]]
 """A term, and those beside which it is measured."""

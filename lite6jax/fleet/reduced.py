@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.filtering import LowPass
 from lite6jax.effects import kernels
 from lite6jax.errors import InputError
@@ -38,9 +39,6 @@ from lite6jax.fleet.terms import (
     Varied,
 )
 
-Array = NDArray[np.floating]
-Integers = NDArray[np.integer]
-
 SCREENED = {
     SPLINES: tuple(kernels.kernel_of(name).root for name in ("cubic", "medium", "rough")),
     CUBICS: (np.eye(kernels.kernel_of(CUBICS).size(())),),
@@ -52,7 +50,7 @@ _ROUNDING = 1e-9
 _ARRAYS = ("places", "values", "run", "training", "basis", "residual", "blocks")
 
 
-def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
+def readings(columns: Array, noise: NoiseModel, training: Mask, number: int) -> Array:
     """Columns `(…, row, sample)`, of unit noise, as those of all `number` readings: white, zero at samples that are not
     fitted. Readings of the prior come after all samples."""
     white = noise.whitened(columns) * training
@@ -158,7 +156,7 @@ class ReducedArm:
     values: Array
     run: Integers
     noise: NoiseModel
-    training: NDArray[np.bool_]
+    training: Mask
     basis: Array
     residual: Array
     blocks: Integers

@@ -7,13 +7,11 @@ from itertools import permutations, product
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.recordings.sequence import spread_rows
-
-Array = NDArray[np.floating]
 
 FINEST_SENSOR_M = 2e-5
 """Above, an error may be a sensor's noise."""

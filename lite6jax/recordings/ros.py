@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_unit
+from lite6jax.array_types import Array, Mask
 from lite6jax.errors import InputError
 from lite6jax.formatting import shortened
 from lite6jax.recordings.columns.column import PLACE, QUATERNION, spelled
 from lite6jax.recordings.columns.names import UR_JOINTS
 from lite6jax.recordings.streams import hold, join, said_of, said_of_commands
-
-Array = NDArray[np.floating]
 
 JOINT_STATE = "sensor_msgs/JointState"
 POSE_STAMPED = "geometry_msgs/PoseStamped"
@@ -539,7 +538,7 @@ def _ordered(joint_names: Sequence[str], of_arm: ArmJoints) -> tuple[list[str], 
 
 def _at_poses(
     path: Path, stamp: NDArray[np.int64], columns: Mapping[str, Array], at: NDArray[np.int64], notes: list[str]
-) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+) -> tuple[Mask, dict[str, Array]]:
     """Which poses have joint states around them, and the joints' columns there."""
     if len(stamp) < 2:
         raise InputError(f"{path}: has {len(stamp)} joint states at different times; record at least 2")

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.array_types import Integers
 from lite6jax.errors import InputError
 from lite6jax.formatting import shortened
 from lite6jax.recordings.columns.column import OF_ARRAY, QUANTITIES, name_columns
@@ -62,7 +63,7 @@ def require_near(
     q: NDArray[np.float64],
     joint_limits: ArrayLike | None,
     describe: Callable[[int], tuple[str, str]],
-    row: NDArray[np.integer] | None = None,
+    row: Integers | None = None,
     sliding: Iterable[int] = (),
 ) -> None:
     """Refuses joint positions so far outside the limits that they must be degrees, or millimetres.

@@ -5,15 +5,13 @@ from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.whitening import Whitened
-
-Array = NDArray[np.floating]
 
 
 @final

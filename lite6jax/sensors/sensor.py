@@ -12,12 +12,11 @@ from typing import Any, ClassVar, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame, cross
+from lite6jax.array_types import Array, Integers
 from lite6jax.errors import InputError
 
-Array = NDArray[np.floating]
 Point = tuple[float, float, float]
 
 
@@ -141,7 +140,7 @@ class Sensor(ABC):
 
     # -------------------------------------------------------------- plans and simulations
 
-    def nearest(self, tool: Array) -> NDArray[np.integer]:
+    def nearest(self, tool: Array) -> Integers:
         """The place `(sample,)` that tools `(sample, 4, 4)` are nearest to; zero of what has but one."""
         return np.zeros(len(tool), int)
 

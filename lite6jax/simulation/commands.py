@@ -9,10 +9,11 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
+from lite6jax.array_types import Array, Integers
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.tracking.predict import DiagnosedServos, describe_servos
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
@@ -23,9 +24,6 @@ from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import ServoSettings
 from lite6jax.simulation.motions import SINES, SPEED, check_size, joint_ranges, make_generator, place_samples, visit
-
-Array = NDArray[np.floating]
-Runs = NDArray[np.integer]
 
 SAMPLES = 2000
 """Where no number is given."""
@@ -61,7 +59,7 @@ _DAMPED = 0.7
 
 def draw_commands(
     arm: Arm, samples: int = SAMPLES, *, runs: int = 1, step: float = STEP_S, speed: float = SPEED, seed: int = 0
-) -> tuple[Array, Array, Runs]:
+) -> tuple[Array, Array, Integers]:
     """Random commands: in each run sines of several frequencies, then trapezoids with rests, then steps.
 
     Commands stay within the middle half of each joint's range. Each run begins with a rest.

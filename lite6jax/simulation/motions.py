@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, PPoly
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms
+from lite6jax.array_types import Array, Integers
 from lite6jax.errors import InputError
 from lite6jax.recordings import (
     Recording,
@@ -26,7 +27,6 @@ from lite6jax.recordings import (
 from lite6jax.recordings.files import read_commands
 from lite6jax.recordings.units import real_array
 
-Array = NDArray[np.floating]
 MotionKind = Literal["static", "trajectory"]
 
 SAMPLES = {"static": 400, "trajectory": 3000}
@@ -72,7 +72,7 @@ def check_size(samples: int, runs: int, fewest: int, step: float, speed: float) 
             raise InputError(f"simulation: {name} is {value}; give a number above 0")
 
 
-def place_samples(samples: int, runs: int, step: float) -> tuple[NDArray[np.integer], Array, Array]:
+def place_samples(samples: int, runs: int, step: float) -> tuple[Integers, Array, Array]:
     """`(sample,)`: the run of each of some samples, its time, and the time since the start of its run, both in s."""
     sample = np.arange(samples)
     run = sample * runs // samples
@@ -229,7 +229,7 @@ def make_motion(
     *,
     time: ArrayLike | None = None,
     velocity: Array | None = None,
-    run: NDArray[np.integer] | None = None,
+    run: Integers | None = None,
     payload: float | Sequence[float] | Array = 0.0,
     warm_up: float | None = None,
     settings: RecordingSettings | None = None,

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.chains import Form, joint_motion
+from lite6jax.array_types import Array
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, place_of
@@ -25,8 +25,6 @@ from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 from lite6jax.effects.statics import Inertia, Loads, loads, with_mass_errors
 from lite6jax.estimation.problem import Component, DriverValues
 from lite6jax.estimation.terms import Terms
-
-Array = NDArray[np.floating]
 
 _STEP = 1e-2
 """Of a number's typical size: the step of difference quotients of loads."""

@@ -6,9 +6,9 @@ from typing import Any, ClassVar, Literal
 import msgspec
 import numpy as np
 from msgspec.structs import asdict
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
+from lite6jax.array_types import Array
 from lite6jax.domains.entries import (
     Angle,
     Document,
@@ -28,8 +28,6 @@ from lite6jax.effects.statics import inertia_of
 from lite6jax.estimation.terms import join
 from lite6jax.model import ArmModel
 from lite6jax.storage import NonNegative, Strict
-
-Array = NDArray[np.floating]
 
 
 class InertiaEntry(Strict):

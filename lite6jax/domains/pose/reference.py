@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -18,6 +17,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import VARIANTS, bundled_arms
 from lite6jax.arms.factory import FactoryCalibration, read_factory
+from lite6jax.array_types import Array
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of
 from lite6jax.calibration.start import declared_tool, measured_rotations
@@ -32,8 +32,6 @@ from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording, RecordingSettings, require_one_station, require_samples
 from lite6jax.recordings.alignment import flange_poses
 from lite6jax.recordings.units import other_joints
-
-Array = NDArray[np.floating]
 
 SAME_JOINTS = 1e-3
 """rad within which two rows are of the same joint positions: an error beyond the rigid arm varies by a thousandth less

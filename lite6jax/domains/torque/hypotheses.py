@@ -12,10 +12,10 @@ from itertools import chain, combinations, product
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
+from lite6jax.array_types import Array
 from lite6jax.domains.faults import (
     GRAVITY,
     Hypothesis,
@@ -38,8 +38,6 @@ from lite6jax.effects.dynamic import TILT, direction
 from lite6jax.estimation.noise import autocorrelation_time
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.recordings.fault import DataFault
-
-Array = NDArray[np.floating]
 
 _EXPLAINED = 0.1
 """Of a joint's torque, RMS, from which a second change is sought: what most arms have beside leaves as much."""

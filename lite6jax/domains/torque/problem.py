@@ -7,9 +7,9 @@ from itertools import chain
 from typing import TYPE_CHECKING, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.predict import (
     delayed,
     offsets_of,
@@ -44,11 +44,9 @@ from lite6jax.effects.dynamic import (
 )
 from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
+from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fields import field_values
-
-Array = NDArray[np.floating]
 
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
@@ -137,7 +135,7 @@ class TorqueProblem:
     """
 
     data: TorqueRows
-    chosen: NDArray[np.integer]
+    chosen: Integers
     links: Array
     directions: Array
     precision: Array
@@ -180,12 +178,12 @@ class TorqueProblem:
         return np.hypot(sigma, more[:, self.data.filter.kept][:, self.chosen])
 
     @lazy
-    def groups(self) -> NDArray[np.integer]:
+    def groups(self) -> Integers:
         """Each joint has a noise of its own."""
         return np.arange(self.rows)
 
     @lazy
-    def run(self) -> NDArray[np.integer]:
+    def run(self) -> Integers:
         """`(sample,)`."""
         return self.data.runs[self.chosen]
 
@@ -325,7 +323,7 @@ class TorqueProblem:
         return False
 
     @property
-    def every_run(self) -> NDArray[np.integer]:
+    def every_run(self) -> Integers:
         """`(2, every sample)`, the first and the last sample of each one's run."""
         return np.asarray(self.data.motion.run)
 
@@ -487,7 +485,7 @@ class TorqueProblem:
             further_limits = [(max(lower, slowest), upper) for lower, upper in further_limits]
         return [(less[0] - of_arm, less[1]), *further_limits]
 
-    def select(self, rows: NDArray[np.integer]) -> "TorqueProblem":
+    def select(self, rows: Integers) -> "TorqueProblem":
         """Some of the samples."""
         return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], known=TorqueCache())
 

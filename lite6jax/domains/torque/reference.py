@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute
+from lite6jax.array_types import Array, Mask
 from lite6jax.domains.torque.rows import bodies_of, require_joints
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import interpolate_columns, run_segments
-
-Array = NDArray[np.floating]
 
 SAME_STATE = (5e-3, 5e-2)
 """rad and rad/s by which the states of two recordings of one motion differ at most, in nearly all rows: controllers
@@ -100,9 +98,7 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
     )
 
 
-def _at_times_of(
-    recording: Recording, reference: Recording, slides: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Array] | None:
+def _at_times_of(recording: Recording, reference: Recording, slides: Mask) -> tuple[Mask, Array] | None:
     """Which rows are in the reference's state, and its torques `(sample, joint)` then; None where it is another motion.
 
     Rows of another state would be gaps in time: the ends of runs may be cut, but within a run nearly all rows match.

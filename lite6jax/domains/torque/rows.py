@@ -6,10 +6,10 @@ from typing import final
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import declared_links, recorded_regressor
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
@@ -27,8 +27,6 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
-
-Array = NDArray[np.floating]
 
 
 @final
@@ -133,11 +131,11 @@ class TorqueRows:
     torque: Array
     recorded: LowPass
     filter: LowPass
-    rows: NDArray[np.integer]
+    rows: Integers
     motion_cutoff: float
     slack: Array | None = None
     turning: Array | None = None
-    repeated: NDArray[np.bool_] | None = None
+    repeated: Mask | None = None
 
     @property
     def motion(self) -> Motion:
@@ -151,7 +149,7 @@ class TorqueRows:
         return self.recording.time[self.recorded.kept]
 
     @cached_property
-    def runs(self) -> NDArray[np.integer]:
+    def runs(self) -> Integers:
         """`(kept,)`, the run of each sample that is kept."""
         return self.filter.runs[self.filter.kept]
 
@@ -233,7 +231,7 @@ def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
     return TorqueRows(recording, arm, bodies, torque, chosen, samples, rows, cutoff)
 
 
-def _thinned(bodies: RigidBodies, arm: Arm, samples: LowPass, rows: NDArray[np.integer]) -> RigidBodies:
+def _thinned(bodies: RigidBodies, arm: Arm, samples: LowPass, rows: Integers) -> RigidBodies:
     """The dynamics at some rows, each of which stands for those around it."""
     motion = jax.tree.map(lambda leaf: leaf[..., rows], bodies.motion)
     first, end = (np.searchsorted(motion.run[0], motion.run[0], side) for side in ("left", "right"))

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import declared_links, recorded_torques
+from lite6jax.array_types import Array
 from lite6jax.domains.tracking.rollout import GRIP, Commands, Coupling, Rolled, roll
 from lite6jax.effects.dynamic import OfLink, point_mass
 from lite6jax.effects.servo import RIGID_GRIP, Servo
-
-Array = NDArray[np.floating]
 
 _SWEEPS = 12
 """Rollouts at most, each along the motion of the one before."""

@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.entries import Document, JointModelEntry, Mass, Ranges, joint_fields, shared_fields
 from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.domains.tracking.ranges import FittedRange
@@ -16,8 +16,6 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.servo import Servo
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.storage import NonNegative
-
-Array = NDArray[np.floating]
 
 
 class TrackingModelEntry(JointModelEntry, kw_only=True):

@@ -5,13 +5,14 @@ them where they are wanted.
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import declared_links
+from lite6jax.array_types import AnyArray, Array, Integers, Mask
 from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
@@ -20,7 +21,6 @@ from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
 from lite6jax.domains.tracking.ranges import (
     Beyond,
     FittedRange,
-    Runs,
     concatenate_beyond,
     differentiate,
     find_beyond,
@@ -41,7 +41,6 @@ from lite6jax.effects.dynamic import Dynamics, UnnamedInLoop, direction
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.files import read_commands
@@ -49,8 +48,7 @@ from lite6jax.recordings.sequence import held_rows, interpolate_columns
 from lite6jax.recordings.settings import ServoSettings
 from lite6jax.results import PublicResult
 
-Array = NDArray[np.floating]
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, AnyArray]
 
 _CREEPS_AT_LEAST = 100.0
 """s, the time constant of creeping from which friction holds a joint; MuJoCo's joints creep within some seconds."""
@@ -112,7 +110,7 @@ class CorrectedCommands(PublicResult):
     """
 
     time: Array
-    run: Runs
+    run: Integers
     wanted: Array
     command: Array
     before: Array
@@ -175,7 +173,7 @@ class _GivenMotion(NamedTuple):
     temperature: Array | None
 
 
-def holds_rigidly(servo: Servo) -> NDArray[np.bool_]:
+def holds_rigidly(servo: Servo) -> Mask:
     """`(joint,)`, whether dry friction holds a joint at rest for longer than motions take; no integral part lets it.
 
     A joint that creeps comes to where servo and load balance with the time constant G·B/kp.
@@ -516,7 +514,7 @@ def describe_servos(
     )
 
 
-def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints: int) -> tuple[Array, Array, Runs]:
+def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints: int) -> tuple[Array, Array, Integers]:
     """The arguments of `DiagnosedServos.predict` as arrays."""
     t = np.asarray(time, float)
     u = np.asarray(command, float)
@@ -557,7 +555,7 @@ def commands_to_follow(model: DiagnosedServos, motion: Recording) -> CorrectedCo
     return model.commands_for(*_commands_in(model, motion))
 
 
-def _commands_in(model: DiagnosedServos, motion: Recording) -> tuple[Array, Array, Runs, Array | None]:
+def _commands_in(model: DiagnosedServos, motion: Recording) -> tuple[Array, Array, Integers, Array | None]:
     """Times, commands, runs and, where they are known, temperatures of joints of a motion of the diagnosed arm."""
     if motion.dof != model.dof:
         raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.faults import Screened
 from lite6jax.domains.tracking.column_faults import with_readouts
 from lite6jax.domains.tracking.following import fit_follower, past_commands, weight_features
@@ -14,12 +14,9 @@ from lite6jax.domains.tracking.problem import tracking_problem
 from lite6jax.domains.tracking.ranges import run_ends
 from lite6jax.domains.tracking.rows import FOLLOWS, SAME, TrackingRows, lagged_correlation, quantum, tracking_rows
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import stretches
-
-Array = NDArray[np.floating]
 
 _BEGINNING = 0.02
 """s, or one sample, of each of two steps with which a run begins."""
@@ -250,7 +247,7 @@ def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask 
     return end
 
 
-def _from_the_start(rows: Mask, run: NDArray[np.integer]) -> Mask:
+def _from_the_start(rows: Mask, run: Integers) -> Mask:
     """Of rows those from the beginning of their run on: a joint that has not moved yet has reached no end."""
     begins = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
     others = np.cumsum(~rows)
@@ -385,7 +382,7 @@ def _still(data: TrackingRows) -> Mask:
     return span < _AT_REST + 2 * _LEVEL * data.noise[:, None]
 
 
-def _intervals(rows: Mask, run: NDArray[np.integer], period: float) -> list[tuple[int, int]]:
+def _intervals(rows: Mask, run: Integers, period: float) -> list[tuple[int, int]]:
     """Where rows are true for long enough, from one up to another, within runs; short breaks do not count."""
     joined = np.asarray(ndimage.binary_closing(rows, iterations=max(1, round(_JOINED / period / 2))), bool) | rows
     return [
@@ -393,7 +390,7 @@ def _intervals(rows: Mask, run: NDArray[np.integer], period: float) -> list[tupl
     ]
 
 
-def _whole_absence(away: Mask, run: NDArray[np.integer], first: int, last: int, more: int) -> tuple[int, int]:
+def _whole_absence(away: Mask, run: Integers, first: int, last: int, more: int) -> tuple[int, int]:
     """An interval with what is before and after it of the same absence, in its run."""
     rows = away.copy()
     rows[first:last] = True
@@ -484,7 +481,7 @@ def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:
     return offsets - offsets[_nearest_run(data, joint, offsets, number)]
 
 
-def _nearest_run(data: TrackingRows, joint: int, offsets: Array, number: NDArray[np.integer]) -> int:
+def _nearest_run(data: TrackingRows, joint: int, offsets: Array, number: Integers) -> int:
     """The run whose zero is nearest to the description's: its read-outs are nearest to its commands in the mean."""
     command = np.asarray(data.recording.commanded_position)[:, joint]
     shares = np.bincount(number) / len(number)

@@ -6,10 +6,10 @@ from typing import Any, final
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.dynamics import declared_links
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.filtering import low_pass, runs_of, smoothed, spectra
 from lite6jax.domains.torque.rows import RigidBodies, require_joints
 from lite6jax.domains.tracking.coupling import Bodies
@@ -24,8 +24,6 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.sequence import held_rows, interpolate_columns
 from lite6jax.recordings.settings import RecordingSettings, ServoSettings
-
-Array = NDArray[np.floating]
 
 FLOOR = 3e-5
 """rad, by which rollouts of two simulators of the same arm differ; noise counts as at least that."""
@@ -210,8 +208,8 @@ def even_rows(recording: Recording) -> Recording:
     period = stamps.period
     names = ("commanded_position", "payload", "joint_temperature", "ambient_temperature")
     parts: dict[str, list[Array]] = {name: [] for name in ("time", "joint_position", *names)}
-    rows: list[NDArray[np.integer]] = []
-    runs: list[NDArray[np.integer]] = []
+    rows: list[Integers] = []
+    runs: list[Integers] = []
     for number, piece in enumerate(stamps.pieces):
         t = time[piece]
         grid = t[0] + period * np.arange(int(np.floor((t[-1] - t[0]) / period + 1e-6)) + 1)
@@ -291,7 +289,7 @@ def _beginnings(even: Recording) -> list[Array]:
     return beginnings
 
 
-def begins_at_rest(even: Recording, noise: Array) -> NDArray[np.bool_]:
+def begins_at_rest(even: Recording, noise: Array) -> Mask:
     """`(joint, run)`, whether joints rest where runs of an even recording begin, in noise `(joint,)` rad."""
     return np.stack([np.ptp(part, 0) < 2 * _MOVED * noise for part in _beginnings(even)], 1)
 

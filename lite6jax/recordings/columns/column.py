@@ -8,9 +8,8 @@ from math import pi
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 
 class ColumnQuantity(NamedTuple):

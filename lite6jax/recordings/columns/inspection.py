@@ -13,11 +13,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.recordings import streams
 from lite6jax.recordings.alignment import computed_by_controller, digit_step, median_distance
@@ -64,8 +64,6 @@ from lite6jax.recordings.columns.names import (
     unit_of,
 )
 from lite6jax.recordings.columns.orientations import is_no_rotation, quaternions
-
-Array = NDArray[np.floating]
 
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `calibration.source`."""

@@ -11,9 +11,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns import sizes
 from lite6jax.recordings.columns.column import (
@@ -29,8 +29,6 @@ from lite6jax.recordings.columns.column import (
 )
 from lite6jax.recordings.columns.orientations import quaternions
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
-
-Array = NDArray[np.floating]
 
 ROWS = 400
 """Spread over the recording: enough to tell readings that differ by factors or by whole rotations."""

@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.recordings.columns.column import FINE, MATRIX, Decision, Sureness, by_name, units_of
-
-Array = NDArray[np.floating]
 
 WIDE_RAD = 2.1 * np.pi
 """Beyond, joint positions are likely to be degrees."""

@@ -5,8 +5,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.faults import (
@@ -21,8 +21,6 @@ from lite6jax.domains.faults import (
 from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import with_joints
-
-Array = NDArray[np.floating]
 
 CODES = (
     *(*DECLARED, *POSES),

@@ -4,9 +4,9 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, ndtr
 
+from lite6jax.array_types import Array
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import ScreenedPoses
@@ -14,8 +14,6 @@ from lite6jax.domains.pose.screening.thresholds import JUMP_LEVEL, MOST_FITTED, 
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import run_segments, spread_rows
-
-Array = NDArray[np.floating]
 
 _LEVEL = 1e-4
 """Chance of the best shape, and of a joint's number; three shapes are tested."""
