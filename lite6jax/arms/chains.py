@@ -231,7 +231,7 @@ class HayatiForm:
 
     @cached_property
     def flags(self) -> np.ndarray:
-        """Whether beta replaces d, for each joint."""
+        """Flags `(joint,)`, true where beta replaces d."""
         return np.isin(np.arange(self.dof), self.parallel)
 
     def apply_base(self, frame: Frame, values: JaxArray) -> tuple[Frame, tuple[Twist, ...]]:

@@ -105,7 +105,7 @@ FRANKA_JOINTS = 7
 
 
 def is_franka(content: Any) -> bool:
-    """Whether the parsed content of a file has the layout of a `kinematics.yaml` of franka_description."""
+    """Tells whether the parsed content of a file has the layout of a `kinematics.yaml` of franka_description."""
     entries_of_joints = ()
     if isinstance(content, Mapping):
         entries_of_joints = content.values()

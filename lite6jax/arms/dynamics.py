@@ -208,7 +208,7 @@ def regressor(
 
 
 def _link_motions(steps: _Step, gravity: JaxArray) -> tuple[_Vector, _Vector, _Motion]:
-    """Of each link its motion, (link, sample); of each joint and link the joint's axis, and the velocity of the link's
+    """The motion of each link, (link, sample); of each joint and link the joint's axis, and the velocity of the link's
     origin per unit of the joint's rate: (joint, link, sample), zero for joints that do not move the link."""
     joints, samples = steps.cos.shape
     zero = jnp.zeros((joints, samples))
@@ -478,7 +478,7 @@ def pseudo_inertia(parameters: npt.ArrayLike) -> Array:
 
 
 def is_consistent(parameters: npt.ArrayLike) -> bool:
-    """Whether every link (joint, 10) is a body: its pseudo-inertia is positive definite."""
+    """Tells whether every link (joint, 10) is a body: its pseudo-inertia is positive definite."""
     return _positive(pseudo_inertia(parameters))
 
 

@@ -107,7 +107,7 @@ def six_numbers(value: Any, where: str, optional: Sequence[str] = (), limit: flo
 
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers are out of reach
 def is_reachable(links: Array, limit: float = LENGTH_LIMIT) -> bool:
-    """Whether the flange of a chain (joint, 4, 4) stays within `limit` m of the base: single long links may cancel.
+    """Tells whether the flange of a chain (joint, 4, 4) stays within `limit` m of the base; long links may cancel.
 
     They do along axes that are nearly parallel, whose common normal is far away.
     """

@@ -106,7 +106,7 @@ def tip_before_jaw(path: str | Path) -> str:
 
 
 def _is_mjcf(path: str) -> bool:
-    """Whether the root of an arm's XML is MuJoCo's."""
+    """Tells whether the root of an arm's XML is MuJoCo's."""
     root = _ROOT.search(_COMMENT.sub("", storage.read_text(path, SIZE_LIMIT)))
     return root is not None and root[1] == "mujoco"
 
@@ -253,7 +253,7 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
 
 
 def is_calibration(path: str | Path) -> bool:
-    """Whether a file is the calibration of an individual arm, valid or not, rather than the description of a model."""
+    """Tells whether a file is the calibration of an individual arm, valid or not, and no description of a model."""
     suffix = Path(path).suffix.lower()
     if suffix not in suffixes.YAML:
         return suffix in (suffixes.JSON, suffixes.DEVIATIONS)

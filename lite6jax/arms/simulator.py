@@ -316,7 +316,7 @@ def _gravity(model: Any, base: str | None) -> Array:
 
 
 def _is_compensated(file: str, model: Any, joints: Integers) -> bool:
-    """Whether the weight of all bodies that the arm moves is compensated; refuses where that of some is."""
+    """Tells whether the weight of all bodies that the arm moves is compensated; refuses where that of some is."""
     moved = {int(model.jnt_bodyid[joints[0]])}
     for body in range(model.nbody):
         if int(model.body_parentid[body]) in moved and body:

@@ -203,7 +203,7 @@ def fit_recording(
 
 
 def _information(problem: CalibrationProblem, source: str) -> Array:
-    """Of the data and the declared prior on the movable entries of a step `(size, size)`, at the start."""
+    """Information of the data and the declared prior on the movable entries of a step `(size, size)`, at the start."""
     information = solve(problem, max_steps=0).information
     if not np.isfinite(information).all():
         raise InputError(f"{source}: holds numbers too large to work with; check the units of its columns")

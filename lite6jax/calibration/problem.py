@@ -81,7 +81,7 @@ class CalibrationProblem:
 
     @property
     def covariance(self) -> Array:
-        """Of a sample's residual: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints."""
+        """Covariance of a sample's residual: `(row, row)`, or `(sample, row, row)` with read-out noise of joints."""
         position, orientation = self.noise
         variance = np.square((position, orientation or position))
         if self.spread is not None:  # what the noise is more than declared was added to it

@@ -59,7 +59,7 @@ class Result(IntEnum):
 
 
 class Quality(NamedTuple):
-    """Whether a model describes the poses that it was fitted to.
+    """A judgement whether a model describes the poses that it was fitted to.
 
     Attributes:
         verdict: `good`; `above_noise`, where it does, and more is left than the declared noise; or `bad`.

@@ -229,7 +229,7 @@ class Solution(PublicResult):
 
     @cached_property
     def quality(self) -> Quality:
-        """Whether the model describes the data, on rows or samples that were not fitted."""
+        """Judgement whether the model describes the data, on rows or samples that were not fitted."""
         if self.recording is None or self.noise is None:
             return quality_of_calibration(self.checked.position)
         measured = self.recording.position

@@ -212,7 +212,7 @@ def _fit_chunk(
     status = jnp.where(doubtful, SINGULAR, solved.status)
 
     def squares(model: ArmModel, block: Observations) -> tuple[jax.Array, jax.Array]:
-        """Of all distances and angles, zero where missing."""
+        """Sums of squares of all distances and of all angles, zero where missing."""
         raw = differences(block, predict_frames(form, model, block.joint)[1])
         present = block.weight > 0
         return tuple(jnp.sum(jnp.where(present, jnp.sum(part**2, 0), 0.0)) for part in (raw[:3], raw[3:]))  # type: ignore[return-value]
@@ -474,7 +474,7 @@ def invert(H: Array) -> Array:
 def _solve_arm(
     form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, prior: FitConditions
 ) -> ChunkSolution:
-    """Of one arm, without the axis of arms."""
+    """Solves for one arm, without the axis of arms."""
     first, observations = jax.tree.map(lambda leaf: leaf[None], (start, observed))
     return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, first, observations, max_steps, prior))
 

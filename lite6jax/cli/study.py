@@ -96,7 +96,7 @@ class Setup:
 
     @property
     def reads(self) -> bool:
-        """Whether the sensor reads no poses, so that the arm is to reach its places."""
+        """Tells whether the sensor reads no poses, so that the arm is to reach its places."""
         return self.sensor in usual.READINGS
 
     def _of_poses(self, arm: "arms.Arm") -> "information.Experiment":

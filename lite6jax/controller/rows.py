@@ -97,7 +97,7 @@ class Rows:
 
     @property
     def torques_computed(self) -> bool:
-        """Whether the torques have no noise, as those of the controller's own model."""
+        """Tells whether the torques have no noise, as those of the controller's own model."""
         return self._torque_noise.absent
 
     @property

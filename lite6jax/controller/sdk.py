@@ -240,7 +240,7 @@ class KinematicsCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether all differences are below `GATE_M` and `GATE_RAD`."""
+        """Tells whether all differences are below `GATE_M` and `GATE_RAD`."""
         return _agree(self.position, self.orientation)
 
 

@@ -206,12 +206,12 @@ class Condition:
 
     @property
     def has_tool(self) -> bool:
-        """Whether a tool offset is set."""
+        """Tells whether a tool offset is set."""
         return _is_offset(self.tool_offset)
 
     @property
     def has_world(self) -> bool:
-        """Whether poses refer to another frame than the base."""
+        """Tells whether poses refer to another frame than the base."""
         return _is_offset(self.world_offset)
 
     @property

@@ -76,7 +76,7 @@ class DesignedPair(NamedTuple):
 
     @property
     def clear(self) -> bool:
-        """Whether the designed commands tell them apart."""
+        """Tells whether the designed commands tell them apart."""
         return self.designed >= CLEAR
 
     def to_dict(self) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class CommandPlan:
 
     @cached_property
     def hardest(self) -> tuple[DesignedPair, ...]:
-        """Of each number of each effect the alternative that is nearest to it, but for those that are always alike."""
+        """The nearest alternative to each number of each effect, but for those that are always alike."""
         hardest: dict[tuple[Effect, int | None], DesignedPair] = {}
         for pair in self.pairs:
             key = pair.effect, pair.number

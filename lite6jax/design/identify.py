@@ -114,7 +114,7 @@ class Identification(PublicResult):
 
     @property
     def on_last_axis(self) -> bool:
-        """Whether the measured point lies on the last joint's axis, so that this joint does not move it."""
+        """Tells whether the measured point lies on the last joint's axis, so that this joint does not move it."""
         return bool(np.hypot(*np.asarray(self.experiment.model.T_flange_tool)[:2, 3]) < _ON_AXIS)
 
     def narrow(self) -> list[tuple[int, float]]:

@@ -169,7 +169,7 @@ class Experiment:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the unknown parameters."""
+        """Names of the unknown parameters."""
         sensor_names = (number.name for number in self.own)
         return tuple(compress((*self.form.names, *sensor_names, *self.physics.names), self.unknown))
 

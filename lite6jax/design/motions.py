@@ -143,7 +143,7 @@ class MotionRoom:
 
     @property
     def samples(self) -> int:
-        """Of one period."""
+        """Number of samples of one period."""
         return round(self.duration * self.rate)
 
     def move(self, free: ArrayLike, time: ArrayLike) -> JointTrajectory:
@@ -155,7 +155,7 @@ class MotionRoom:
         return self.move(free, self.duration * np.arange(count) / count)
 
     def passes(self, free: Array) -> bool:
-        """Whether every filter accepts the whole motion."""
+        """Tells whether every filter accepts the whole motion."""
         return not self.filters or bool(all_pass(self.filters, np.asarray(self.move_evenly(free, _CHECKED).q).T).all())
 
 

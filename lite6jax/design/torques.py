@@ -113,7 +113,7 @@ class TorqueExperiment:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the unknown parameters, `link3 m·cx` … `joint2 Coulomb`."""
+        """Names of the unknown parameters, `link3 m·cx` … `joint2 Coulomb`."""
         return tuple(name for name, _, _ in self.parameters)
 
     @property
@@ -172,7 +172,7 @@ class TorqueExperiment:
 
     @property
     def confounded(self) -> dict[str, tuple[str, ...]]:
-        """Of each parameter that is only determined with others: the base parameters it is in."""
+        """The base parameters of each parameter that is only determined with others."""
         dependencies = self.possible.dependencies
         return {d.name: tuple(name for name, _, _ in d.partners) for d in dependencies if d.partners}
 

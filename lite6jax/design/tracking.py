@@ -116,7 +116,7 @@ class CommandExperiment:
 
     @property
     def of_findings(self) -> bool:
-        """Whether effects that were found are distinguished from others."""
+        """Tells whether effects that were found are distinguished from others."""
         return bool(self.undecided)
 
     @property
@@ -210,7 +210,7 @@ def _typical(library: TrackingProblem, effect: Effect) -> list[Array]:
 
 
 def _meet(effect: Effect, other: Effect) -> bool:
-    """Whether two effects move one joint."""
+    """Tells whether two effects move one joint."""
     if isinstance(effect, OfJoint) and isinstance(other, OfJoint):
         return effect.joint == other.joint
     return True
@@ -479,7 +479,7 @@ def _explained(inner: Array, between: Array) -> Array:
 
 
 def undecided_of(document: Mapping[str, Any], model: DiagnosedServos) -> tuple[tuple[int, Effect], ...]:
-    """Of each finding in a diagnosis the named effects that may stand for it, by the number of the finding.
+    """The named effects that may stand for each finding in a diagnosis, by the number of the finding.
 
     Raises:
         InputError: the document has effects that the catalogue has not.

@@ -44,7 +44,7 @@ class Agreement:
 
     @property
     def agree(self) -> bool | None:
-        """Whether both say the same within their uncertainty; None where one of them says nothing."""
+        """Tells whether both say the same within their uncertainty; None where one of them says nothing."""
         return None if self.p_value is None else self.p_value >= DISAGREE
 
     def to_dict(self) -> dict[str, Any]:

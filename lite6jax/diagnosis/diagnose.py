@@ -174,7 +174,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out positions per axis, and of orientations as they are fitted, where these were measured.
+        """Held-out errors over the noise: positions per axis, and orientations as they are fitted, where measured.
 
         Where read-outs wander, positions are as they are fitted too: how far read-outs are off in held-out rows is not
         known from the others.
@@ -202,7 +202,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @cached_property
     def quality(self) -> Quality:
-        """Whether the model with the findings describes the poses, on rows that were not used."""
+        """Judgement whether the model with the findings describes the poses, on rows that were not used."""
         problem = self.problem
         fit = self.fit
         valid = self.problem.valid
@@ -290,7 +290,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @property
     def _covariances(self) -> list[Array]:
-        """Of the numbers of each effect of the model, the last of which are no findings."""
+        """Covariances of the numbers of each effect of the model, the last of which are no findings."""
         uncertainty = self.model.uncertainty
         more = Terms(self.model.physics.effects[len(self.findings) :])
         assert uncertainty is not None
@@ -537,7 +537,7 @@ def _separating_poses(
 
 
 def _differ(selection: Selection, k: int, rival: Effect) -> bool:
-    """Whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
+    """Tells whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
     problem = selection.problem
     fit = selection.state.fit
     assert isinstance(problem, PoseProblem)

@@ -188,7 +188,7 @@ def check_document(document: Any, path: str | Path) -> None:
 
 
 def is_of_tracking(document: Any) -> bool:
-    """Whether a document is a diagnosis of commands and measured joints."""
+    """Tells whether a document is a diagnosis of commands and measured joints."""
     return isinstance(document, dict) and document.get("domain") == "tracking"
 
 

@@ -91,7 +91,7 @@ class Finding:
 
     @property
     def nearest(self) -> tuple[Effect, float] | None:
-        """Of an effect without a name, the likeliest named one, and its share of the evidence; or None."""
+        """The likeliest named effect in place of one without a name, and its share of the evidence; or None."""
         named_alternatives = [alternative for alternative in self.alternatives if not alternative.term.nonparametric]
         if not self.effect.nonparametric or not named_alternatives:
             return None
@@ -127,7 +127,7 @@ class Finding:
         return self._whole_covariance(larger=True)[:count, :count]
 
     def _whole_covariance(self, larger: bool) -> Array:
-        """Of its numbers, and of the chosen one where that has a standard deviation."""
+        """Covariance of its numbers, and of the chosen one where that has a standard deviation."""
         covariance = self.covariance
         if self.chosen_std:
             covariance = np.asarray(block_diag(covariance, self.chosen_std**2))
@@ -267,11 +267,11 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     @property
     def fit(self) -> Fit:
-        """Of the nuisance and all findings."""
+        """The fit of the nuisance and all findings."""
         return self.selection.state.fit
 
     def has(self, effect: Effect) -> bool:
-        """Whether this very effect is a finding."""
+        """Tells whether this very effect is a finding."""
         return any(finding.effect == effect for finding in self.findings)
 
     @property
@@ -361,7 +361,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     @property
     def _too_few(self) -> bool:
-        """Whether the rows are too few to say anything where nothing was found."""
+        """Tells whether the rows are too few to say anything where nothing was found."""
         return False
 
     @property
@@ -375,7 +375,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     @property
     @abstractmethod
     def _leaves_noise(self) -> bool:
-        """Whether what the model leaves is noise."""
+        """Tells whether what the model leaves is noise."""
 
     @property
     @abstractmethod
@@ -384,7 +384,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     @abstractmethod
     def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
-        """Of held-out errors `(group, sample)`, on the rows kept."""
+        """Statistics of held-out errors `(group, sample)`, on the rows kept."""
 
     @abstractmethod
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
@@ -509,7 +509,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         return {**entry, "log_likelihood_gap": alternative.gap, "status": status}
 
     def _wandering(self, effect: Effect) -> dict[str, Any]:
-        """Of an effect that wanders by itself the entry with its memory; else, and of most domains, nothing."""
+        """The entry with the memory of an effect that wanders by itself; else, and of most domains, nothing."""
         return {}
 
 

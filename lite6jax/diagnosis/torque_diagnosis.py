@@ -72,7 +72,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out errors of each joint, RMS, over the declared noise as the filter leaves it.
+        """RMS of held-out errors of each joint over the declared noise as the filter leaves it.
 
         Every sample counts but those of data faults: a mean that is robust says nothing of what acts at reversals.
         """

@@ -80,7 +80,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out errors of each joint, RMS, over the noise of its encoder with that of the rollout."""
+        """RMS of held-out errors of each joint over the noise of its encoder with that of the rollout."""
         errors = (self.after / self.problem.sigma)[:, ~self.outliers]
         names = [f"joint{j}" for j in range(1, self.problem.rows + 1)]
         return dict(zip(names, np.sqrt(np.mean(errors**2, 1)).tolist(), strict=True))
@@ -166,7 +166,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 
     @property
     def _servos(self) -> list[dict[str, float]]:
-        """Of each joint its servo's numbers with the effects: stiffness, lag and sag; without masses over a factor.
+        """The numbers of each joint's servo with the effects: stiffness, lag and sag; without masses over a factor.
 
         The lag is how far, in time, a joint at constant velocity is behind its command, friction and delay apart.
         """
@@ -302,7 +302,7 @@ def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: Engi
 
 
 def _is_as_described(selection: Selection) -> bool:
-    """Whether any joint that moves follows as described, but for noise: rollouts then describe the arm exactly."""
+    """Tells whether a joint that moves follows as described, but for noise: rollouts then describe the arm exactly."""
     problem = selection.problem
     assert isinstance(problem, TrackingProblem)
     errors = selection.state.fit.residuals.rows * problem.sigma
@@ -466,7 +466,7 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
 
 
 def _is_of_servos(change: Array, problem: TrackingProblem, others: tuple[Terms, Array], before: Array) -> bool:
-    """Whether unknown servos can do what an effect changes, but for what descriptions of other effects may be wrong.
+    """Tells whether unknown servos can do what an effect changes, but for what other descriptions may be wrong.
 
     Args:
         change: `(joint, valid sample)`, over the noise.

@@ -72,7 +72,7 @@ class Physics:
 
     @property
     def loaded(self) -> bool:
-        """Whether any effect depends on the loads of gravity."""
+        """Tells whether any effect depends on the loads of gravity."""
         return any(isinstance(e, Bending) and any(driver.loaded for driver in e.drivers) for e in self.effects)
 
     @property

@@ -30,7 +30,7 @@ class _Source(NamedTuple):
 
 
 def _joint_temperatures(motion: Motion, _: Loads | None) -> JaxArray | None:
-    """Of each joint; of the whole arm where only that is known."""
+    """Temperatures of each joint; that of the whole arm where only that is known."""
     if motion.joint_temperature_rise is None and motion.temperature_rise is not None:
         return jnp.broadcast_to(motion.temperature_rise, motion.joint_position.shape)
     return motion.joint_temperature_rise
@@ -171,27 +171,27 @@ class Driver:
 
     @property
     def discrete(self) -> bool:
-        """Whether it is a direction of motion, which has two or three values."""
+        """Tells whether it is a direction of motion, which has two or three values."""
         return self.quantity == "direction of motion"
 
     @property
     def is_angle(self) -> bool:
-        """Whether it repeats after a turn."""
+        """Tells whether it repeats after a turn."""
         return self.quantity in ("position", "measured position's azimuth", "measured position's elevation")
 
     @property
     def is_remembered(self) -> bool:
-        """Whether what it drives may lag behind it, as hysteresis does."""
+        """Tells whether what it drives may lag behind it, as hysteresis does."""
         return self.generalised in ("position", "gravity torque", "gravity moment x", "gravity moment y")
 
     @property
     def is_order(self) -> bool:
-        """Whether it is but the order of recording, in which what nobody recorded may wander."""
+        """Tells whether it is but the order of recording, in which what nobody recorded may wander."""
         return self.quantity == "order of recording"
 
     @property
     def is_time(self) -> bool:
-        """Whether it is the time, in which what is read out may jump."""
+        """Tells whether it is the time, in which what is read out may jump."""
         return self.quantity == "time"
 
     @property
@@ -201,7 +201,7 @@ class Driver:
 
     @property
     def of_slide(self) -> bool:
-        """Whether it is a quantity of a prismatic joint alone."""
+        """Tells whether it is a quantity of a prismatic joint alone."""
         return self.quantity in _GENERALISED
 
     @property
@@ -216,11 +216,11 @@ class Driver:
 
     @property
     def loaded(self) -> bool:
-        """Whether the quantity follows from the loads of gravity."""
+        """Tells whether the quantity follows from the loads of gravity."""
         return _SOURCES[self.quantity].loaded
 
     def known(self, motion: Motion, loads: Loads | None) -> bool:
-        """Whether the motion and the loads contain the quantity."""
+        """Tells whether the motion and the loads contain the quantity."""
         return _SOURCES[self.quantity].values(motion, loads) is not None
 
     def values(self, motion: Motion, loads: Loads | None) -> JaxArray:

@@ -170,7 +170,7 @@ class TorqueEffect(Effect, ABC):
         return np.stack([self.torque(unit, dynamics) for unit in np.eye(self.size)])
 
     def is_friction_of(self, joint: int) -> bool:
-        """Whether it is friction of a joint, counted from 1: figures show it over the velocity of this joint."""
+        """Tells whether it is friction of a joint, counted from 1: figures show it over the velocity of this joint."""
         return False
 
 
@@ -869,7 +869,7 @@ class JointProcess(Process, OfJoint, ABC):
 
     @property
     def coefficient(self) -> Coordinate:
-        """Of a torque."""
+        """The coordinate of a torque."""
         coordinate = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
         return coordinate.at_slide() if self.of_slide else coordinate
 

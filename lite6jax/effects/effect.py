@@ -89,7 +89,7 @@ def final_effect(kind: Kind) -> Kind:
 
 
 def slides(effect: "Effect") -> bool:
-    """Whether an effect is one of a prismatic joint."""
+    """Tells whether an effect is one of a prismatic joint."""
     return isinstance(effect, OfJoint) and effect.of_slide
 
 
@@ -143,12 +143,12 @@ class Effect(ABC):
 
     @property
     def periodic(self) -> bool:
-        """Whether a spectrum of orders finds the chosen number, rather than a few values that are tried one by one."""
+        """Tells whether a spectrum of orders finds the chosen number, rather than a few values tried one by one."""
         return False
 
     @property
     def hysteretic(self) -> bool:
-        """Whether it depends on the samples before, and not on the present motion alone."""
+        """Tells whether it depends on the samples before, and not on the present motion alone."""
         return False
 
     @property
@@ -194,12 +194,12 @@ class Effect(ABC):
     @property
     @final
     def linear(self) -> bool:
-        """Whether what it adds is proportional to its numbers; columns are then computed once."""
+        """Tells whether what it adds is proportional to its numbers; columns are then computed once."""
         return not isinstance(self, Altering) and all(coordinate.linear for coordinate in self.coordinates)
 
     @property
     def usual(self) -> bool:
-        """Whether nearly every arm has it as it is: its choice costs ln 2."""
+        """Tells whether nearly every arm has it as it is: its choice costs ln 2."""
         return self.common and self.chosen is None
 
     @property
@@ -397,7 +397,7 @@ class OfJoint(Effect, ABC):
 
     @property
     def follows_own_motion(self) -> bool:
-        """Whether it depends on the motion of its own joint alone."""
+        """Tells whether it depends on the motion of its own joint alone."""
         motions = {self.own_driver(quantity) for quantity in ("velocity", "speed", "direction of motion")}
         return set(self.drivers) <= motions
 

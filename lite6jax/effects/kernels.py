@@ -157,11 +157,11 @@ class Kernel(ABC):
         return np.zeros(0)
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
-        """Whether it may be a kernel of a driver, which may be `discrete`: of few values."""
+        """Tells whether it may be a kernel of a driver, which may be `discrete`: of few values."""
         return not driver.is_order and not discrete
 
     def hides(self, other: "Kernel") -> bool:
-        """Whether another process at its site cannot be told apart from it, so that it is not added beside that one."""
+        """Tells whether another process at its site cannot be told apart from it, so that it is not added beside it."""
         return not other.apart and not other.of_gear
 
     def fault(self, bounds: Floats, rolloff: Floats) -> str:
@@ -254,7 +254,7 @@ def _scaled(values: JaxArray, bounds: Floats) -> JaxArray:
 
 
 def _centres(outer: int) -> NDArray:
-    """Of the splines on the range, and on so many intervals to each side of it."""
+    """Centres of the splines on the range, and on so many intervals to each side of it."""
     return np.arange(-outer - 1, PIECES + outer + 2) * (2 / PIECES) - 1
 
 
@@ -343,7 +343,7 @@ class _Spectrum(_Orders):
         return 2 * len(self.orders(bounds))
 
     def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
-        """Of sine and cosine of each order: 1 at low ones; 1 of all without a corner."""
+        """Deviations of sine and cosine of each order: 1 at low ones; 1 of all without a corner."""
         orders = self.orders(bounds)
         corner, slope = rolloff or (1.0, 0.0)
         return np.repeat((1 + (orders / corner) ** slope) ** -0.5 if rolloff else np.ones_like(orders), 2)
@@ -414,7 +414,7 @@ class _Wander(_Orders):
         return 1 + (min(int(np.ceil(_CORNERS * rolloff[0])), _FASTEST) if rolloff else _FASTEST)
 
     def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
-        """Of each order; 1 of all without a corner."""
+        """Deviations of each order; 1 of all without a corner."""
         orders = np.arange(self.size(bounds, rolloff))
         if not rolloff:
             return np.ones(len(orders))
@@ -627,6 +627,6 @@ def memory_of(rolloff: Floats) -> float:
 
 
 def is_kernel(name: str, drivers: int) -> bool:
-    """Whether a kernel of so many drivers has this name."""
+    """Tells whether a kernel of so many drivers has this name."""
     kernel = _kernel(name)
     return kernel is not None and kernel.drivers == drivers

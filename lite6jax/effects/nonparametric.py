@@ -124,7 +124,7 @@ class Process(Effect, ABC):
 
     @property
     def hysteretic(self) -> bool:
-        """Whether it depends on the way to a value of its driver."""
+        """Tells whether it depends on the way to a value of its driver."""
         return self.covariance.hysteretic
 
     def values_at(self, motion: Motion, loads: Loads | None) -> JaxArray:
@@ -186,7 +186,7 @@ class Unnamed(Process, Bending):
 
     @property
     def unit(self) -> str:
-        """Of what it adds."""
+        """The unit of what it adds."""
         return _MEASURES.get(self.component, ("rad", ""))[0]
 
     @property

@@ -82,11 +82,11 @@ class Faults:
 
     @property
     def calibrated(self) -> bool:
-        """Whether the controller provides a calibration."""
+        """Tells whether the controller provides a calibration."""
         return not self.invalid and self.firmware >= (2, 3, 0)
 
     def answers(self, register: int) -> bool:
-        """Whether a request to this register has a reply."""
+        """Tells whether a request to this register has a reply."""
         return not self.silent & {ALL, register} and (register != 8 or self.firmware != (1, 12, 1))
 
 
@@ -223,7 +223,7 @@ class Core:
 
     @property
     def state(self) -> ControllerState:
-        """Whether the arm moves, has moved, or neither did nor can."""
+        """The state: the arm moves, has moved, or neither did nor can."""
         if self.path is None or self.stopped < np.inf:
             return ControllerState.STOPPED
         if self.time < self.path.duration:

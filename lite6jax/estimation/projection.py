@@ -104,7 +104,7 @@ class Span:
 
     @classmethod
     def of_rows(cls, rows: Array, rounding: float) -> "Span":
-        """Of unit rows `(number, reading)`, `rounding` as of `orthonormal`."""
+        """Takes the span of unit rows `(number, reading)`, `rounding` as of `orthonormal`."""
         whole = orthonormal(rows, rounding)
         return cls(whole, rows @ whole.T, np.zeros((0, rows.shape[1])), np.zeros(0))
 

@@ -104,7 +104,7 @@ class ProcessTerm(Term, Protocol):
 
 
 def is_process(term: Term) -> TypeGuard[ProcessTerm]:
-    """Whether a term is a Gaussian process and no named one."""
+    """Tells whether a term is a Gaussian process and no named one."""
     return term.nonparametric
 
 

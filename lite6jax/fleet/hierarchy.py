@@ -52,7 +52,7 @@ class ArmLikelihoods:
 
     @cached_property
     def eigen(self) -> tuple[Array, Array, Array]:
-        """Of the information in typical sizes: values `(arm, number)`, vectors, and the score along these."""
+        """Eigenvalues `(arm, number)` and vectors of the information in typical sizes, and the score along these."""
         D = self.typical
         values, U = np.linalg.eigh(self.information * np.outer(D, D))
         values = np.where(values > _ROUNDING * max(float(values.max(initial=0.0)), 1e-300), values, 0.0)
@@ -117,7 +117,7 @@ class Hierarchy:
 
     @property
     def between_p_value(self) -> float:
-        """Of estimates that vary as much if all arms are alike (W. Cochran, Biometrics 10, 1954)."""
+        """Probability of estimates that vary as much if all arms are alike (W. Cochran, Biometrics 10, 1954)."""
         arms = replace(self.arms, variance=np.inf)
         values, _, along = arms.eigen
         mean, M, *_ = arms.solved(0.0)
@@ -147,7 +147,7 @@ class Hierarchy:
         return estimates * D, (conditional_covariance + of_mean) * np.outer(D, D)
 
     def outlier_p_value(self, arm: int) -> float:
-        """Of an arm as far from what the others predict: a model of those is fitted without it.
+        """Probability of an arm as far from what the others predict: a model of those is fitted without it.
 
         The squared distance over its variance is compared with F. An estimate of τ² has the uncertainty of a variance
         from as many arms, also where most of what it is estimated from is the uncertainty of each arm: so these are the

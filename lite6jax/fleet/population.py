@@ -59,7 +59,7 @@ class TypeEffect:
     outliers: Mapping[int, float]
 
     def estimates(self) -> list[tuple[Array, Array] | None]:
-        """Of each arm the numbers and their standard deviations; None of an arm that does not show the effect.
+        """The numbers of each arm and their standard deviations; None of an arm that does not show the effect.
 
         Those of an outlier are of its recording alone; the others are estimates of empirical Bayes.
         """

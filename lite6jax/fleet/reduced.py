@@ -264,7 +264,7 @@ class ReducedArm:
 
     @property
     def freedom(self) -> float:
-        """Of what is left."""
+        """Degrees of freedom of what is left."""
         rows = len(self.noise.groups)
         return float(max(self.residual.size - rows * np.sum(~self.training) - len(self.basis), 1))
 
@@ -277,7 +277,7 @@ class ReducedArm:
         return replace(self, basis=basis, residual=self.residual - (new @ self.residual) @ new)
 
     def evidence(self, term: Tested) -> RecordingEvidence | None:
-        """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
+        """Evidence of a term beside the model; None where the recording cannot show it, or the model confounds it."""
         columns = self.columns_of(term)
         projected = outside(columns, self.basis)
         norms = np.linalg.norm(columns, axis=1)
@@ -312,7 +312,7 @@ class ReducedArm:
         return RecordingScan(candidate_evidence, groups, float(self.left @ self.left), self.freedom)
 
     def _spectrum(self, family: Candidate, options: EngineOptions) -> GroupScores:
-        """Of the waves of a family."""
+        """Scores of the waves of a family."""
         orders = order_grid(options)
         place = self._place_of(family)
         acting = place.any(1)
@@ -334,7 +334,7 @@ class ReducedArm:
         return GroupScores(score, information, np.stack([statistic, size, size])[..., None])
 
     def _screened(self, processes: Sequence[FleetProcess], roots: Sequence[Array]) -> GroupScores:
-        """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
+        """Scores of processes; in autocorrelated noise of those that vary slowly beside their places."""
         groups = len(processes)
         size = len(roots[0])
         score = np.zeros((groups, size))

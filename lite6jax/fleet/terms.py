@@ -221,7 +221,7 @@ class Tried:
         return self._scan.cost_of_name(cast(Term, self.named[term.key]))
 
     def cost_of_waves(self, orders: Array) -> Array:
-        """Of a wave of each order `(order,)` of one family."""
+        """Cost of a wave of each order `(order,)` of one family."""
         return self._options.prior.cost("wave") + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
 
     def _process(self, place: FleetComponent, kernel: str, *indices: int) -> FleetProcess:

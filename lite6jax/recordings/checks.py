@@ -204,7 +204,7 @@ class TorqueNoise:
 
     @property
     def absent(self) -> bool:
-        """Whether the torques of an arm at rest are constant, and known finely enough for that to be no rounding."""
+        """Tells whether torques of an arm at rest are constant, and known finely enough for that to be no rounding."""
         if len(self.ranges) < FEWEST or not np.any(self.largest):
             return False
         acting = np.asarray(self.largest) > 0
@@ -216,7 +216,7 @@ class TorqueNoise:
 
 
 def estimated_torque(recording: Recording) -> bool:
-    """Whether the recorded torques have no noise at all: the controller's own model, which says nothing of the motors.
+    """Tells whether the recorded torques have no noise: the controller's own model, which says nothing of the motors.
 
     False without torques, and where the arm is never at rest for long enough. False too where the steps of the torques
     are so coarse that they may hide noise.

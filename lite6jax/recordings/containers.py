@@ -109,12 +109,12 @@ def read_hdf5(path: Path, notes: list[str]) -> RawTable:
 
 
 def _is_narrow(shape: Sequence[int]) -> bool:
-    """Whether an array has at most as many numbers as a sample may have, for the longest of its axes."""
+    """Tells whether an array has at most as many numbers as a sample may have, for the longest of its axes."""
     return int(np.prod(shape, dtype=object)) <= WIDEST * max(shape)
 
 
 def _is_derived(name: str, names: Collection[str]) -> bool:
-    """Whether an array is the sine or cosine of another one, as robomimic keeps of joint positions."""
+    """Tells whether an array is the sine or cosine of another one, as robomimic keeps of joint positions."""
     base, _, function = name.rpartition("_")
     return function in ("sin", "cos") and base in names
 

@@ -84,7 +84,7 @@ def _possible_states(
 
 
 def _is_one_place(points: Points) -> bool:
-    """Whether the points that are seen most often are repeated readings of one."""
+    """Tells whether the points that are seen most often are repeated readings of one."""
     first, second = (_place(points, k) for k in _most_seen(points)[:2])
     complete = np.isfinite(first + second).all(axis=1)
     distance = np.linalg.norm(first[complete] - second[complete], axis=1)

@@ -54,7 +54,7 @@ class Readings:
         return replace(self, group=self.group[rows], value=self.value[rows], pixels=self.pixels[rows], seen=poses)
 
     def with_poses(self, settings: RecordingSettings, source: str) -> "Readings":
-        """Of a camera, with the poses that its corners give by the lens and the board of the settings.
+        """Adds to readings of a camera the poses that its corners give by the lens and the board of the settings.
 
         Raises:
             InputError: no lens, no board, a corner that the board lacks, corners outside one plane.

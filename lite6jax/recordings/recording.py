@@ -323,7 +323,7 @@ class Recording(PublicResult):
 
     @property
     def has_torques(self) -> bool:
-        """Whether it holds joint torques or motor currents."""
+        """Tells whether it holds joint torques or motor currents."""
         return self.joint_torque is not None or self.motor_current is not None
 
     def torques(self) -> Float[np.ndarray, "sample joint"]:
@@ -716,7 +716,7 @@ def _kind_of(recording: Recording) -> str:
 
 
 def _has_stations(recording: Recording) -> bool:
-    """Whether further files of such a recording are measured in frames of their own."""
+    """Tells whether further files of such a recording are measured in frames of their own."""
     return recording.position is not None and recording.settings.pose_frame != "base"
 
 

@@ -49,7 +49,7 @@ class RigidPose(NamedTuple):
 
     @property
     def position_noise(self) -> float:
-        """Of an axis, in the unit of the points: of their noise, six of three numbers each went into the pose."""
+        """Noise of an axis, in the unit of the points: six of their numbers, three each, went into the pose."""
         return self.misfit / np.sqrt(3 * self.points - 6)
 
     @property

@@ -58,7 +58,7 @@ class ArmJoints(NamedTuple):
 
     @classmethod
     def of(cls, arm: "Arm | ArmJoints | None") -> "ArmJoints":
-        """Of an arm, or of none; these as they are."""
+        """Takes the joints of an arm, or of none; these as they are."""
         if isinstance(arm, Arm):
             return cls(arm.dof, arm.sliding, arm.joint_names)
         return cls() if arm is None else arm
@@ -83,7 +83,7 @@ class _Topic(NamedTuple):
         return self.topic + (f":{chosen}" if chosen else "")
 
     def names(self, quantity: str) -> bool:
-        """Whether the topic's name says that its numbers are positions or velocities."""
+        """Tells whether the topic's name says that its numbers are positions or velocities."""
         return _IN_NAMES[quantity].search(self.topic) is not None
 
 
@@ -373,7 +373,7 @@ def _commanded(message: Any) -> _Joints:
 
 
 def _commanded_quantity(path: Path, chosen: _Topic, messages: Sequence[_Joints]) -> str:
-    """Whether commands are positions or velocities: as the topic is named, or as their messages or its name say.
+    """What commands are, positions or velocities: as the topic is named, or as their messages or its name say.
 
     Raises:
         InputError: they may be either.

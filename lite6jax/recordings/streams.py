@@ -93,7 +93,7 @@ class JointStream:
 
     @property
     def resolved(self) -> bool:
-        """Whether the joint states follow a motion; false of captures, between which the joints move far."""
+        """Tells whether the joint states follow a motion; false of captures, between which the joints move far."""
         with np.errstate(invalid="ignore", over="ignore"):
             change = np.sqrt(np.mean(np.diff(self.position, axis=0) ** 2))
             width = np.ptp(self.position, axis=0).max()

@@ -100,7 +100,7 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
 
 
 def is_granted(fault: DataFault) -> bool:
-    """Whether a fault that was ruled out says how far a fitted arm is from the nominal one."""
+    """Tells whether a fault that was ruled out says how far a fitted arm is from the nominal one."""
     return fault.code == "arm_deviation" and fault.numbers.get("reason") == "granted"
 
 

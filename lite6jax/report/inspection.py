@@ -173,7 +173,7 @@ def _order(columns: Sequence[str]) -> str:
 
 
 def _commanded(block: Block) -> bool:
-    """Whether joint columns are taken for measured ones that by name were commanded or computed."""
+    """Tells whether joint columns are taken for measured ones that by name were commanded or computed."""
     return block.rank == 2 and bool(block.joints) and block.kind not in COMMANDS
 
 

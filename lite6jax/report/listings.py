@@ -181,7 +181,7 @@ def _with_file(file: str, message: str) -> str:
 
 
 def is_of_fleet(document: Any) -> bool:
-    """Whether a document says that it is that of a fleet."""
+    """Tells whether a document says that it is that of a fleet."""
     return isinstance(document, dict) and document.get("schema") == FLEET
 
 

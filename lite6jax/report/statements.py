@@ -311,7 +311,7 @@ def what_to_record(document: Document) -> list[str]:
 
 
 def _of_one_wave(finding: Entry, rival: Entry) -> bool:
-    """Whether two effects are orders of one joint that these positions do not tell apart."""
+    """Tells whether two effects are orders of one joint that these positions do not tell apart."""
     return "order" in rival and (finding["effect"], finding["site"]) == (rival["effect"], rival["site"])
 
 

@@ -300,7 +300,7 @@ def _scene(
 
 
 def _parts(site: str, links: Sequence[int]) -> tuple[str, ...]:
-    """Of a site, what is drawn of it; a link without length is the joint before it."""
+    """What is drawn of a site; a link without length is the joint before it."""
     if site == "links":
         return tuple(f"link{link}" for link in links if link)
     if site in ("tool", "payload"):

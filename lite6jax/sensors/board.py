@@ -113,7 +113,7 @@ class Camera(PoseReading, ABC):
 
     @property
     def lens(self) -> Lens:
-        """Of the usual camera."""
+        """The lens of the usual camera."""
         return Lens(np.array(PINHOLE), np.array(DISTORTION))
 
     @property

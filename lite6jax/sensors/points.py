@@ -81,7 +81,7 @@ class Declaration(NamedTuple):
 
     @property
     def whitener(self) -> Array:
-        """Of sensors of a point."""
+        """The whitener of sensors of a point."""
         return np.full(2, 1 / self.noise)
 
     def places(self, coordinates: Mapping[str, Any]) -> tuple[Array, tuple[bool, ...]]:
@@ -231,7 +231,7 @@ class PointSensor(Sensor):
         return super().to_dict() | {"places": places}
 
     def _of_each(self, free: tuple[bool, ...], tool: Array) -> list[tuple[int, Mask, Array]]:
-        """Of each place that is unknown its number, its samples, and there the tool's point `(sample, 3)`."""
+        """The number of each place that is unknown, its samples, and there the tool's point `(sample, 3)`."""
         selections = ((int(k), np.asarray(self.group) == k) for k in np.flatnonzero(free))
         return [(k, selected, tool[selected, :3, 3]) for k, selected in selections]
 
@@ -338,7 +338,7 @@ class Contact(PointSensor):
 
     @classmethod
     def _of_plates(cls, sockets: Array, group: Any, noise: float) -> Self:
-        """Of plates with two sockets each `(plate, 2, 3)`, whose distance is known."""
+        """Takes plates with two sockets each `(plate, 2, 3)`, whose distance is known."""
         names = tuple(f"plate{k + 1}_{end}" for k in range(len(sockets)) for end in "ab")
         count = len(names)
         rods = tuple(Rod(k, k + 1, SOCKETS_APART, SOCKETS_KNOWN) for k in range(0, count, 2))
@@ -463,7 +463,7 @@ class Plane(PointSensor):
 
     @classmethod
     def _of_plates(cls, centres: Array, group: Any, noise: float) -> Self:
-        """Of plates about centres `(plate, 3)`."""
+        """Takes plates about centres `(plate, 3)`."""
         count = len(centres)
         tilted = np.array(_NORMALS)[np.arange(count) % len(_NORMALS)].T
         names = tuple(f"plate{k + 1}" for k in range(count))

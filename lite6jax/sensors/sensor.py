@@ -104,7 +104,7 @@ class Sensor(ABC):
 
     @property
     def reads_poses(self) -> bool:
-        """Whether it reads where the tool is, in a frame of its own; others read touches, distances or planes."""
+        """Tells whether it reads where the tool is, in a frame of its own; others read touches, distances or planes."""
         return False
 
     @property
@@ -153,12 +153,12 @@ class Sensor(ABC):
 
     @property
     def touched(self) -> bool:
-        """Whether being at a place is the reading, so that a plan knows it."""
+        """Tells whether being at a place is the reading, so that a plan knows it."""
         return False
 
     @property
     def turned(self) -> bool:
-        """Whether the orientation of the tool matters at its targets."""
+        """Tells whether the orientation of the tool matters at its targets."""
         return self.rows == 6
 
     def columns_of_plan(self, tool: Array) -> tuple[Array, Array]:

@@ -103,7 +103,7 @@ class Clocks(NamedTuple):
 
     @property
     def close(self) -> bool:
-        """Whether the nominal arm agrees with the poses at all."""
+        """Tells whether the nominal arm agrees with the poses at all."""
         return self.error <= CLOSE * self.moved
 
     @property
@@ -215,7 +215,7 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
 
 
 def _same(arm: Arm, joints: JointStream, time: Array, first: Clocks, second: Clocks) -> bool:
-    """Whether the arm does not move from one offset to the other, as where it stood still at each pose."""
+    """Tells whether the arm does not move from one offset to the other, as where it stood still at each pose."""
     rows = time[spread_rows(len(time), _REFINED_ROWS)]
     start = first.robot_time(rows)
     end = second.robot_time(rows)

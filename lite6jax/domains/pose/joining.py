@@ -137,7 +137,7 @@ def with_joints(file: InspectedTable, arm: Arm, captures: bool = False) -> WithJ
 
 
 def is_of_pairs(file: InspectedTable) -> bool:
-    """Whether a file holds a robot's pose and a sensor's in each row, and no joints, as for a hand-eye calibration."""
+    """Tells whether a file has a robot's pose and a sensor's in each row, and no joints: a hand-eye calibration."""
     roles = {source.role for source in file.inspection.sources}
     return file.inspection.of("q") is None and roles >= {"controller", "sensor"}
 

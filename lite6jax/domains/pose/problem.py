@@ -131,12 +131,12 @@ class PoseProblem(RigidArm):
 
     @property
     def declared(self) -> bool:
-        """Whether the noise of all that is measured is declared."""
+        """Tells whether the noise of all that is measured is declared."""
         return None not in self.declared_noise[: -(-self.rows // 3)]
 
     @property
     def floored(self) -> bool:
-        """Of touches whose noise is declared."""
+        """Tells whether readings are touches whose noise is declared."""
         return self.declared and not self.measured.reads_poses
 
     @lazy
@@ -240,7 +240,7 @@ class PoseProblem(RigidArm):
         return jacobian
 
     def factored(self, term: Term) -> Factored | None:
-        """Of a function without a name, where those of one site and component share its column; None of other terms."""
+        """The columns of a function without a name, where those of a site and component share its column; else None."""
         if not isinstance(term, Unnamed):
             return None
         key = term.where, term.component
@@ -273,7 +273,7 @@ class PoseProblem(RigidArm):
 
     @cached_property
     def _columns(self) -> dict[Hashable, Array]:
-        """Of linear effects, of sites, and of masses through effects, by these; computed once."""
+        """Columns of linear effects, of sites, and of masses through effects, by these; computed once."""
         return {}
 
     @lazy
@@ -294,7 +294,7 @@ class PoseProblem(RigidArm):
 
     @lazy
     def components(self) -> tuple[Component, ...]:
-        """Of every site, as far as the sensor sees them."""
+        """The components of every site, as far as the sensor sees them."""
         candidates = components(self.sites, self.motion, 6 if self.rows == 6 else 3)
         return tuple(component for component in candidates if component.site != "sensor" or self.measured.reads_poses)
 
@@ -343,7 +343,7 @@ class PoseProblem(RigidArm):
         return unwhitened(self.residual(nuisance, terms, values), self.measured.whitener)[:3]
 
     def errors(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Array, Array]:
-        """Of position and of orientation `(2, sample)`, lengths in m and rad, and over the noise of each row.
+        """Errors of position and of orientation `(2, sample)`, lengths in m and rad, and over the noise of each row.
 
         Errors of an orientation that was not measured are zero.
         """

@@ -143,7 +143,7 @@ class _RigidArm(NamedTuple):
         return self.registration.rms
 
     def within(self, noise: Sequence[float]) -> bool:
-        """Whether the residuals of position (m) and orientation (rad) per axis are no larger than noise."""
+        """Tells whether the residuals of position (m) and orientation (rad) per axis are no larger than noise."""
         return all(
             (residual or 0.0) <= allowed for residual, allowed in zip(self.registration.noise, noise, strict=True)
         )
@@ -522,6 +522,6 @@ def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
 
 
 def _displacement(before: Array, after: Array) -> dict[str, Any]:
-    """Of a frame, in the axes of where it was before."""
+    """Translation and rotation of a frame, in the axes of where it was before."""
     T = np.linalg.inv(before) @ after
     return {"translation_m": T[:3, 3].tolist(), "rotation_rad": float(Rotation.from_matrix(T[:3, :3]).magnitude())}

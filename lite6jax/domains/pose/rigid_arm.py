@@ -102,7 +102,7 @@ class NuisanceProblem:
     def columns(
         self: Any, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
     ) -> Array:
-        """Of no terms."""
+        """No columns, as there are no terms."""
         return np.zeros((0, self.rows, self.samples))
 
     def factored(self, term: Term) -> Factored | None:
@@ -110,7 +110,7 @@ class NuisanceProblem:
         return
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
-        """Of no terms."""
+        """No limits, as there are no terms."""
         return []
 
 
@@ -287,7 +287,7 @@ class RigidArm(NuisanceProblem):
         )
 
     def log_likelihood(self, scale: float) -> float:
-        """Of Student's t at noise of `scale` times the declared one and of the prior, but for terms of the scale."""
+        """Log-likelihood of Student's t at `scale` times the declared noise and of the prior, but for terms of it."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
 

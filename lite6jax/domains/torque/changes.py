@@ -80,7 +80,7 @@ def faults_in(hypothesis: Hypothesis) -> int:
 
 
 def alike(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
+    """Tells whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
     if places(a) != places(b):
         return False
     for change in a:

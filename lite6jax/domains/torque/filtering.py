@@ -215,7 +215,7 @@ def evenly_timed(recording: Recording) -> Even:
 
 
 def _stamps_jitter(q: Array, time: Array, runs: Integers, step: float) -> bool:
-    """Whether positions `(sample, joint)` are smoother over the number of the row than over the time."""
+    """Tells whether positions `(sample, joint)` are smoother over the number of the row than over the time."""
     rough = np.zeros(2)
     for rows in _each(runs):
         t = time[rows]
@@ -377,7 +377,7 @@ def modelled(recorded: LowPass) -> tuple[LowPass, Integers]:
 
 
 def each_posture(samples: int) -> LowPass:
-    """Of postures at rest, one a row: nothing is filtered, and each is a run of its own."""
+    """The filter of postures at rest, one a row: nothing is filtered, and each is a run of its own."""
     rows = np.arange(samples)
     return LowPass(rate=1.0, cutoff=0.5, every=1, runs=rows, kept=rows)
 

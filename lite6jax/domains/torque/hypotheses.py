@@ -183,7 +183,7 @@ def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
 
 
 def computed_torque(data: TorqueRows) -> bool:
-    """Whether no joint has noise or friction: what a controller computes by a model of its arm, and no motor exerts.
+    """Tells whether no joint has noise or friction: a controller computes that by a model, and no motor exerts it.
 
     The links may be others than declared. A sensor's noise, or a current's, is several times `_NOISELESS`, and friction
     of a gear some per cent of its torque.
@@ -341,5 +341,5 @@ class _PenalisedLikelihoods:
         return [*likeliest.values()][:_BEAM]
 
     def suffices(self, nearest: Hypothesis, cost: float, before: float) -> bool:
-        """Whether it leaves little of all torques, or is not clearly likelier."""
+        """Tells whether it leaves little of all torques, or is not clearly likelier."""
         return not self._rows.suspicious(self.scored[nearest], _EXPLAINED) or cost > before - self._rows.required

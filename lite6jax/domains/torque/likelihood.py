@@ -153,7 +153,7 @@ class Samples:
         return Scored((), 0.0, np.sqrt(np.mean(self._rest(()) ** 2, 1)))
 
     def suspicious(self, scored: Scored, share: float = SUSPECT) -> bool:
-        """Whether a hypothesis leaves more of a torque than friction, offsets and noise would."""
+        """Tells whether a hypothesis leaves more of a torque than friction, offsets and noise would."""
         residual = self._rest(scored.hypothesis)
         near = np.sum(residual[:, 1:] * residual[:, :-1], 1) / np.maximum(np.sum(residual**2, 1), 1e-300)
         return bool(((scored.left > share * self.size) & (near > _CORRELATED)).any())
@@ -176,7 +176,7 @@ class Samples:
         return moved, self.data.bodies.gravity if gravity is None else np.asarray(gravity)
 
     def feels(self, hypothesis: Hypothesis, share: float) -> bool:
-        """Whether a hypothesis of gravity changes more than a share of the torque of some joint, RMS."""
+        """Tells whether a hypothesis of gravity changes more than a share of the torque of some joint, RMS."""
         moved, gravity = self._moved(hypothesis)
         change = self.rigid(moved, gravity) - self.rigid(*self._moved(()))
         return bool((np.std(change, axis=1) > share * self.size).any())

@@ -98,7 +98,7 @@ class TorqueCache:
     thinned: dict[int, "TorqueCache"] = field(default_factory=dict)
 
     def of_every(self, decimation: int) -> "TorqueCache":
-        """Of one in `decimation` samples."""
+        """The cache of one in `decimation` samples."""
         return self.thinned.setdefault(decimation, TorqueCache(everywhere=self.everywhere))
 
     def at_other_links(self) -> "TorqueCache":
@@ -158,7 +158,7 @@ class TorqueProblem:
 
     @property
     def samples(self) -> int:
-        """Of those that are kept."""
+        """Number of samples that are kept."""
         return len(self.chosen)
 
     @cached_property
@@ -199,7 +199,7 @@ class TorqueProblem:
 
     @property
     def relative_std(self) -> float | None:
-        """Of the prior of inertial numbers, over what is declared; None where these are exact."""
+        """Standard deviation of the prior of inertial numbers, over what is declared; None where these are exact."""
         if not len(self.precision):
             return None
         _, deviations = uncertain(self.data.bodies.links, 1.0)
@@ -207,7 +207,7 @@ class TorqueProblem:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Of every sample of the recording, at the linearisation."""
+        """The dynamics of every sample of the recording, at the linearisation."""
         return self.data.bodies.dynamics(self.links)
 
     @cached_property
@@ -617,7 +617,7 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
 
 
 def _loaded(effect: TorqueEffect) -> bool:
-    """Whether an effect depends on what the links weigh."""
+    """Tells whether an effect depends on what the links weigh."""
     return any(driver.loaded for driver in effect.drivers)
 
 

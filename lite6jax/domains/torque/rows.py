@@ -139,7 +139,7 @@ class TorqueRows:
 
     @property
     def motion(self) -> Motion:
-        """Of every sample."""
+        """The motion of every sample."""
         return self.bodies.motion
 
     @cached_property

@@ -57,7 +57,7 @@ class Bodies:
 
     @classmethod
     def of_arm(cls, arm: Arm, payload: float, center: Array, gravity: Array) -> "Bodies":
-        """Of an arm, with a payload in kg whose centre `(3,)` m is in the flange's frame; without masses, of none."""
+        """Takes an arm, and a payload in kg with its centre `(3,)` m in the flange's frame; without masses, none."""
         at = arm.T_joint_flange[:3, :3] @ np.asarray(center, float) + arm.T_joint_flange[:3, 3]
         links = declared_links(arm)
         links[-1] += point_mass(payload, at)

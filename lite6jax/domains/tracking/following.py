@@ -147,7 +147,7 @@ def _squared_correlations(u: Array, y: Array) -> Array:
 
 
 def likeliest_lag(lags: Array, squares: Array, within: Mask) -> float:
-    """Of lags `(lag,)` s that are within a range, the one at which joints together correlate most.
+    """The lag, of some `(lag,)` s that are within a range, at which joints together correlate most.
 
     A motion that repeats itself correlates at several: the shortest is taken.
     """

@@ -316,7 +316,7 @@ def _filled_joints(joints: int) -> int:
 
 
 class _LaneState(NamedTuple):
-    """Of each lane, between two steps.
+    """The state of each lane, between two steps.
 
     Attributes:
         q: rad, at the step.

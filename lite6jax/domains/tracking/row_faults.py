@@ -101,7 +101,7 @@ class ScreenedTracking(Screened[TrackingRows]):
         return replace(self.with_faults([fault]), unusable=self.unusable | rows)
 
     def can_spare(self, rows: Mask) -> bool:
-        """Whether enough rows remain without more of them."""
+        """Tells whether enough rows remain without more of them."""
         return bool(np.mean(self.unusable | rows) <= 1 - _FEWEST_ROWS)
 
 
@@ -248,7 +248,7 @@ def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask 
 
 
 def _from_the_start(rows: Mask, run: Integers) -> Mask:
-    """Of rows those from the beginning of their run on: a joint that has not moved yet has reached no end."""
+    """The rows of some from the beginning of their run on: a joint that has not moved yet has reached no end."""
     begins = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
     others = np.cumsum(~rows)
     before = np.repeat(others[begins] - ~rows[begins], np.diff(np.append(begins, len(run))))
@@ -304,7 +304,7 @@ def _torques(data: TrackingRows) -> list[Array]:
 
 
 def _at_limit(torque: Array, error: Array) -> bool:
-    """Whether a torque `(sample,)` Nm, without damping, is mostly along the one that is asked for.
+    """Tells whether a torque `(sample,)` Nm, without damping, is mostly along the one that is asked for.
 
     With the damping, a joint that falls and brakes would be as well.
     """
@@ -361,7 +361,7 @@ def _weak(data: TrackingRows, followed: list[_Followed]) -> Mask:
 
 
 def _idle(data: TrackingRows, joint: int, first: int, last: int) -> bool:
-    """Whether a joint, from 0, does not follow its command, which moves, from a row up to another."""
+    """Tells whether a joint, from 0, does not follow its command, which moves, from a row up to another."""
     command = np.asarray(data.recording.commanded_position)[first:last, joint]
     measured = data.measured[joint, first:last]
     if np.ptp(command) < _FAR:

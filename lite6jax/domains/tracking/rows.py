@@ -116,7 +116,7 @@ class TrackingRows:
 
     @property
     def has_masses(self) -> bool:
-        """Whether the masses of the arm's links are known."""
+        """Tells whether the masses of the arm's links are known."""
         return self.arm.mass is not None and bool(self.bodies.links.any())
 
     @cached_property

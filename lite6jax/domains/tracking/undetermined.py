@@ -132,7 +132,7 @@ def _resting(data: TrackingRows) -> Integers:
 
 
 def _reverses(data: TrackingRows, joint: int) -> bool:
-    """Whether the command of a joint, from 0, goes to and fro in any run."""
+    """Tells whether the command of a joint, from 0, goes to and fro in any run."""
     command = np.asarray(data.recording.commanded_position)[:, joint]
     least = max(_REVERSES * float(np.ptp(command)), _LEAST_REVERSAL)
     for first, last in zip(*run_ends(data.recording.run), strict=True):
@@ -145,7 +145,7 @@ def _reverses(data: TrackingRows, joint: int) -> bool:
 
 
 def _restless(data: TrackingRows, joints: Integers) -> Integers:
-    """Of some joints, from 0, those whose command never holds still."""
+    """The joints, of some counted from 0, whose command never holds still."""
     command = np.asarray(data.recording.commanded_position)[:, joints]
     steps = max(1, round(_REST / data.commands.period))
     holds = (np.abs(np.diff(command, axis=0)) < SAME) & (np.diff(data.recording.run) == 0)[:, None]

@@ -229,7 +229,7 @@ def spread_points(
 
 
 def is_label(name: str) -> bool:
-    """Whether whole numbers of a column of this name may say which point, pose or marker a row is of."""
+    """Tells whether whole numbers of a column of this name may say which point, pose or marker a row is of."""
     return not _IDENTIFIES.isdisjoint(spoken_words(name))
 
 

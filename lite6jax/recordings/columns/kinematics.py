@@ -78,7 +78,7 @@ class ArmAgreement(NamedTuple):
 
     @property
     def close(self) -> bool:
-        """Whether the arm agrees with the poses at all."""
+        """Tells whether the arm agrees with the poses at all."""
         return self.error <= CLOSE * self.spread
 
     def undecided(self) -> "ArmAgreement":
@@ -243,7 +243,7 @@ def motion_of(blocks: Iterable[Block], numbers: Mapping[str, Array]) -> tuple[st
 
 
 def _of_rate(block: Block, rate: Array, q: Block, slower: Array | None, time: Array | None) -> Decision:
-    """Of velocities or accelerations, by the positions or velocities of the same joints."""
+    """The unit of velocities or accelerations, by the positions or velocities of the same joints."""
     assert q.unit is not None
     suffix = "_per_s2" if block.kind == "ddq" else "_per_s"
     decided = sizes.rate_unit(rate, slower, q.unit.choice, time, q.units)
@@ -251,7 +251,7 @@ def _of_rate(block: Block, rate: Array, q: Block, slower: Array | None, time: Ar
 
 
 def _unit(block: Block, values: Array, agreed: ArmAgreement, arm: Arm | None) -> Decision:
-    """Of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
+    """The unit of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
     if block.key in agreed.units:
         return agreed.units[block.key]
     if block.key == _TURNS:

@@ -51,7 +51,7 @@ def quaternions(form: tuple[str, ...], values: Array) -> Array:
 
 
 def is_no_rotation(matrix: Array) -> Mask:
-    """Of which rows `(sample, 9)`, without gaps, the matrix is no rotation: not orthogonal, or mirrored."""
+    """Rows of `(sample, 9)`, without gaps, whose matrix is no rotation: not orthogonal, or mirrored."""
     R = matrix.reshape(-1, 3, 3)
     with np.errstate(all="ignore"):
         far = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > NEARLY

@@ -157,7 +157,7 @@ class Deviation:
         return max(candidates, key=lambda candidate: candidate.evidence)
 
     def log_likelihood(self, scale: float) -> float:
-        """Of the data, all displacements integrated over their prior, at noise of `scale` times the declared one."""
+        """Log-likelihood at `scale` times the declared noise, with all displacements integrated over their prior."""
         arm = self.arm
         R, z = self.data
         Ru = R @ self.displaced

@@ -305,7 +305,7 @@ def _best_split(projected: Projected, columns: Array, starts: Integers) -> tuple
 
 
 def _sharp(arm: RigidArm, k: int) -> bool:
-    """Whether a trajectory shows more of a jump at a row than at any other; true where a run begins, and at rest."""
+    """Tells whether a trajectory shows more of a jump at a row than at others; true where a run begins, and at rest."""
     n = arm.samples
     w = _WINDOW
     segment = run_segments(arm.recording.run)

@@ -79,7 +79,7 @@ class _Evidence(NamedTuple):
         return none
 
     def _contradicts(self, mark: Mark, rows: Integers) -> bool:
-        """Whether the poses of the same joints, or the joints of the same pose, are far from each other."""
+        """Tells whether the poses of the same joints, or the joints of the same pose, are far from each other."""
         joints = mark.array == "joint_position"
         counterpart = self.recording.position if joints else self.recording.joint_position
         assert counterpart is not None

@@ -91,7 +91,7 @@ def count_numbers(fault: DataFault) -> int:
 
 
 def seek_unsettled(arm: RigidArm) -> tuple[Unsettled | None, dict[str, Any]]:
-    """Whether the joints of a static recording were read before the arm had come to rest; else what rules it out.
+    """Tells whether the joints of a static recording were read before the arm had come to rest; else what rules it out.
 
     Then the pose shows the arm at q + rest, rest in the direction of the move: a share of it, or a time at the recorded
     velocity, or an angle. No effect depends on where the arm was before but backlash, whose sign is the opposite; all
