@@ -527,16 +527,11 @@ def _fault_alternative(effect: Effect, alternative: FaultAlternative) -> dict[st
 
 def _stated_effect(effect: Effect) -> dict[str, Any]:
     """Which effect, where, of what, and what tells it from others of its name and site."""
-    return {**effect_entry(effect), **_stated_numbers(effect)}
-
-
-def _stated_numbers(effect: Effect) -> dict[str, Any]:
-    """What tells an effect from others of its name and site."""
     numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
     stated = {name: value for name, value in numbers.items() if value not in (None, "")}
     if "period_m" in stated:  # what an order is of a prismatic joint
         del stated["order"]
-    return stated
+    return {**effect_entry(effect), **stated}
 
 
 def block_count(folds: Sequence[Mask]) -> int:

@@ -47,12 +47,8 @@ class Mark(NamedTuple):
 def repeated_vectors(values: Array) -> Mask:
     """Which rows `(sample, column)` repeat another one exactly, or hold one number in all of several columns."""
     _, group, count = np.unique(values, axis=0, return_inverse=True, return_counts=True)
-    return (count[group.ravel()] > 1) | _uniform(values)
-
-
-def _uniform(values: Array) -> Mask:
-    """Which rows hold one number in all of several columns."""
-    return (values == values[:, :1]).all(1) & (values.shape[1] > 1)
+    uniform = (values == values[:, :1]).all(1) & (values.shape[1] > 1)
+    return (count[group.ravel()] > 1) | uniform
 
 
 def possible_marks(recording: Recording) -> list[Mark]:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lite6jax.array_types import Array, Integers
+from lite6jax.array_types import Integers
 from lite6jax.domains.tracking.ranges import resting_loads, run_ends
 from lite6jax.domains.tracking.rows import SAME, TrackingRows
 from lite6jax.effects.catalogue import Untestable, tracking_catalogue
@@ -94,10 +94,13 @@ def undetermined(data: TrackingRows) -> list[Undetermined]:
     moving = np.setdiff1d(joints, held)
     reverses = np.array([_reverses(data, joint) for joint in moving.tolist()], bool)
     weights = resting_loads(data.bodies, data.measured)
-    constant = np.setdiff1d(_under_constant_load(weights), resting)
+    # none where masses are not known
+    weighed = np.flatnonzero(np.sqrt(np.mean(weights**2, 1)) > _LEAST_WEIGHT)
+    steady = np.flatnonzero(np.std(weights, 1) < _CONSTANT * np.abs(np.mean(weights, 1)))
+    constant = np.setdiff1d(np.intersect1d(steady, weighed), resting)
     of_joint = [effect for effect in tracking_catalogue(1) if isinstance(effect, OfJoint)]
     of_load = [ServoStiffness.name, EncoderOffset.name]
-    if len(constant) and not len(np.setdiff1d(_weighed(weights), constant)):
+    if len(constant) and not len(np.setdiff1d(weighed, constant)):
         of_load.append(PayloadTorque.name)
     friction = CoulombFriction.name
     reasons = [
@@ -154,14 +157,3 @@ def _restless(data: TrackingRows, joints: Integers) -> Integers:
         return joints
     longest = np.max(counted[steps:] - counted[:-steps], 0)
     return joints[longest < steps]
-
-
-def _weighed(weights: Array) -> Integers:
-    """The joints, from 0, on which the arm's weight `(joint, sample)` Nm acts; none where masses are not known."""
-    return np.flatnonzero(np.sqrt(np.mean(weights**2, 1)) > _LEAST_WEIGHT)
-
-
-def _under_constant_load(weights: Array) -> Integers:
-    """Those of them on which the weight hardly varies."""
-    constant = np.flatnonzero(np.std(weights, 1) < _CONSTANT * np.abs(np.mean(weights, 1)))
-    return np.intersect1d(constant, _weighed(weights))

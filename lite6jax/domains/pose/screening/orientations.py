@@ -1,4 +1,4 @@
-"""Whether orientations alone are those that a table computes from the joints, beside positions of another source."""
+"""Tells whether a table computes orientations alone from the joints, beside positions of another source."""
 
 from dataclasses import replace
 
