@@ -129,7 +129,7 @@ def _diagnosed(folder: Path, option: str | None, tried: float, index: int) -> Ou
     except Exception:  # an option may be moved to where nothing works: that is a result too
         return Outcome({}, (), failed=True)
     findings = {}
-    for term, part in zip(state.fit.terms.terms, state.fit.terms.slices, strict=True):
+    for term, part in state.fit.terms.pairs:
         std = np.sqrt(np.diagonal(state.fit.covariance)[part])
         order = None if term.chosen is None else round(term.chosen, 1)
         findings[term.label.split(":")[0], term.site, order] = (state.fit.values[part].tolist(), std.tolist())

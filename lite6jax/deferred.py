@@ -1,7 +1,7 @@
 """What takes time to import, imported where it is first used: commands that list or convert answer without waiting.
 
 Commands name the modules of the package that they use within `import_lazily`. JAX alone takes half a second: modules
-that describe arms and effects take `jax`, `jnp`, `lax`, `Array` and `ArrayLike` from here, and modules that
+that describe arms and effects take `jax`, `jnp`, `lax`, `JaxArray` and `ArrayLike` from here, and modules that
 compute import JAX itself. Where JAX is imported already, these are JAX's own.
 """
 
@@ -23,7 +23,8 @@ _static: list[type] = []
 if TYPE_CHECKING or "jax" in sys.modules:
     import jax
     import jax.numpy as jnp
-    from jax import Array, lax
+    from jax import Array as JaxArray
+    from jax import lax
     from jax.typing import ArrayLike
 
     jit = jax.jit
@@ -62,7 +63,7 @@ else:
         def __instancecheck__(cls, value: Any) -> bool:
             return "jax" in sys.modules and isinstance(value, sys.modules["jax"].Array)
 
-    class Array(metaclass=_Arrays):
+    class JaxArray(metaclass=_Arrays):
         """As `jax.Array` in annotations and for `isinstance`."""
 
     jax = _Module("jax")
@@ -149,4 +150,4 @@ def import_lazily() -> Iterator[None]:
         sys.meta_path.remove(finder)
 
 
-__all__ = ["Array", "ArrayLike", "import_lazily", "jax", "jit", "jnp", "lax", "register_static"]
+__all__ = ["ArrayLike", "JaxArray", "import_lazily", "jax", "jit", "jnp", "lax", "register_static"]

@@ -1,12 +1,11 @@
 """Arrays of few shapes: what is compiled for one recording then serves the next, however many samples it has."""
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[Any]
+from lite6jax.array_types import AnyArray
 
 _LEAST = 64
 
@@ -18,7 +17,7 @@ def filled_size(samples: int, least: int = _LEAST) -> int:
     return 3 * power // 4 if at_least <= 3 * power // 4 else power
 
 
-def filled(array: ArrayLike, *sizes: int) -> Array:
+def filled(array: ArrayLike, *sizes: int) -> AnyArray:
     """The array with the last entries along its first axes repeated, until these have so many."""
     values = np.asarray(array)
     whole = np.empty((*sizes, *values.shape[len(sizes) :]), values.dtype)
@@ -29,7 +28,7 @@ def filled(array: ArrayLike, *sizes: int) -> Array:
     return whole
 
 
-def filled_motion(parts: Iterable[ArrayLike]) -> tuple[list[Array], int]:
+def filled_motion(parts: Iterable[ArrayLike]) -> tuple[list[AnyArray], int]:
     """Position, velocity and acceleration, each `(joint, sample)`, filled up to the `filled_size` of their samples.
 
     Returns:

@@ -161,6 +161,14 @@ def joined(words: Iterable[str], last: str = "and") -> str:
     return f"{', '.join(first)} {last} {final}" if first else final
 
 
+def shortened(words: Sequence[object], most: int) -> str:
+    """The first words or numbers of a list, at most so many, and how many others there are."""
+    shown = ", ".join(map(str, words[:most]))
+    if len(words) <= most:
+        return shown
+    return f"{shown} and {len(words) - most} more"
+
+
 def paragraph(*sentences: str) -> str:
     """Sentences, or parts of one, a blank between them, without those that are empty."""
     return " ".join(filter(None, sentences))

@@ -32,7 +32,7 @@ def list_signals() -> list[int]:
 
 
 def is_command_line() -> bool:
-    """Whether this process is the command line itself, and not a program that imports the library."""
+    """Tells whether this process is the command line itself, and not a program that imports the library."""
     return _ends_on_signals
 
 

@@ -7,7 +7,7 @@ those of a pose or an arm's joints this takes less than LAPACK does.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from lite6jax.deferred import Array, jax, jnp, lax
+from lite6jax.deferred import JaxArray, jax, jnp, lax
 
 _STILL = 1e-12
 """Change of all numbers below which a problem is solved; in rad or m it is rounding."""
@@ -26,10 +26,10 @@ class Linearised(NamedTuple):
         detail: what else a caller wants of the solution, arrays with the problem last.
     """
 
-    cost: Array
-    gradient: Array
-    curvature: Array
-    damped: Array
+    cost: JaxArray
+    gradient: JaxArray
+    curvature: JaxArray
+    damped: JaxArray
     detail: Any = ()
 
 
@@ -45,18 +45,18 @@ class Minimum(NamedTuple):
         steps: how often the problems were linearised.
     """
 
-    numbers: Array
+    numbers: JaxArray
     linearised: Linearised
-    proposal: Array
-    damping: Array
-    ended: Array
-    steps: Array
+    proposal: JaxArray
+    damping: JaxArray
+    ended: JaxArray
+    steps: JaxArray
 
 
 def minimise(
-    linearise: Callable[[Array], Linearised],
-    advance: Callable[[Array, Array], Array],
-    start: Array,
+    linearise: Callable[[JaxArray], Linearised],
+    advance: Callable[[JaxArray, JaxArray], JaxArray],
+    start: JaxArray,
     steps: Any,
     enough: float = 0.0,
     creeping: float = 0.0,
@@ -96,7 +96,7 @@ def minimise(
     return lax.while_loop(lambda state: (state.steps <= steps) & ~state.ended.all(), improve, state)
 
 
-def _solve_definite(A: Array, b: Array) -> Array:
+def _solve_definite(A: JaxArray, b: JaxArray) -> JaxArray:
     """x `(number, problem)` with A x = b for positive definite `(number, number, problem)`, without pivots."""
     system = jnp.concatenate([A, b[:, None]], 1)
     for k in range(len(b)):

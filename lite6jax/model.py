@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
 from jax.typing import ArrayLike
 
 from lite6jax.arms.chains import Bend, Form, fk, joint_motion, sweep
@@ -32,9 +31,9 @@ class ArmModel(NamedTuple):
             `T_joint_flange` is part of it.
     """
 
-    geometry: Array
-    T_sensor_base: Array
-    T_flange_tool: Array
+    geometry: jax.Array
+    T_sensor_base: jax.Array
+    T_flange_tool: jax.Array
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ class ModelForm:
         """`m` or `rad` for each entry of a step."""
         return (*self.chain.units, *(("m", "m", "m", "rad", "rad", "rad") * (self.frame + self.tool)))
 
-    def retract(self, model: ArmModel, step: Array) -> ArmModel:
+    def retract(self, model: ArmModel, step: jax.Array) -> ArmModel:
         """The model a step `(size,)` away; rotations move along their tangent, never through Euler angles."""
         n = self.chain.size
         geometry, T_sensor_base, T_flange_tool = model
@@ -97,7 +96,7 @@ def arm_model(
 
 
 @partial(jax.jit, static_argnums=0)
-def predict(chain: Form, model: ArmModel, joint_position: ArrayLike) -> Array:
+def predict(chain: Form, model: ArmModel, joint_position: ArrayLike) -> jax.Array:
     """The poses `T_sensor_tool` `(..., 4, 4)` that the sensor would show at `joint_position` `(..., joint)` rad."""
     return model.T_sensor_base @ fk(chain, model.geometry, joint_position) @ model.T_flange_tool
 
@@ -106,7 +105,7 @@ def predict_frames_with(
     chain: Form,
     physics: Physics,
     model: ArmModel,
-    values: Array,
+    values: jax.Array,
     motion: Motion,
     statics: Inertia | Loads | None = None,
 ) -> tuple[Frame, Frame]:
@@ -150,7 +149,9 @@ def predict_frames_with(
     return predict_bent(chain, model, motion.joint_position, physics.deflect(values, motion, statics))
 
 
-def predict_bent(chain: Form, model: ArmModel, joint_position: Array, deflection: Deflection) -> tuple[Frame, Frame]:
+def predict_bent(
+    chain: Form, model: ArmModel, joint_position: jax.Array, deflection: Deflection
+) -> tuple[Frame, Frame]:
     """The flange's and the tool's frames in sensor coordinates, of a deflected arm; plain JAX.
 
     In this order: (1 + scale) · sensor twist · T_sensor_base · base twist · ∏ [origin (1 + stretch), Rz(q + δq), link
@@ -183,7 +184,7 @@ def predict_bent(chain: Form, model: ArmModel, joint_position: Array, deflection
     return flange._replace(origin=growth * flange.origin), tool._replace(origin=growth * tool.origin)
 
 
-def _mounted(frame: Frame, T: Array) -> Frame:
+def _mounted(frame: Frame, T: jax.Array) -> Frame:
     """What is fixed to a moving frame at `T` `(4, 4)`."""
     axes = [T[0, i] * frame.x + T[1, i] * frame.y + T[2, i] * frame.z for i in range(4)]
     return Frame(axes[0], axes[1], axes[2], frame.origin + axes[3])
@@ -197,7 +198,7 @@ def predict_poses(
     values: ArrayLike,
     motion: Motion,
     statics: Inertia | Loads | None = None,
-) -> Array:
+) -> jax.Array:
     """The poses `T_sensor_tool` `(sample, 4, 4)` that the sensor would show; as `predict_frames_with`.
 
     Rows for which `physics.beyond` is true are extrapolated and mean nothing.

@@ -163,7 +163,7 @@ def file_sha256(path: str | Path) -> str:
 
 
 def exists(path: str | Path) -> bool:
-    """Whether there is anything of this name; false as well where no file can have it."""
+    """Tells whether there is anything of this name; false as well where no file can have it."""
     return os.path.exists(path)
 
 

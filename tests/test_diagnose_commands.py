@@ -240,4 +240,4 @@ def test_what_report_refuses(capsys, diagnosed, recorded, tmp_path):
         assert f"{broken}: is damaged (it lacks '{lost}'); run `lite6jax diagnose` again" in err
     assert not pdf.exists()
     broken.write_text(json.dumps({**document, "schema": "lite6jax/fit/1"}))
-    assert "is no diagnosis (lite6jax/diagnosis/3 with a model)" in refused(capsys, "report", broken)
+    assert "is no diagnosis of poses (lite6jax/diagnosis/3 with a model)" in refused(capsys, "report", broken)

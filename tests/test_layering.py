@@ -8,7 +8,7 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "lite6jax"
 LIBRARY = [
-    *("interruption", "errors", "fields", "suffixes", "storage", "results", "progress", "threads"),
+    *("array_types", "interruption", "errors", "fields", "suffixes", "storage", "results", "progress", "threads"),
     *(
         "deferred",
         "few_shapes",

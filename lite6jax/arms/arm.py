@@ -11,11 +11,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms import chains, frames
 from lite6jax.arms.dh import six_parameter_to_hayati
 from lite6jax.arms.frames import sample_joints as sample_joints
+from lite6jax.array_types import Array, Mask
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
 
@@ -48,12 +49,12 @@ def joint_size(value: float, unit: str, slides: bool) -> float:
     return value * LEVER ** (powers[0] - powers[1])
 
 
-def joint_sizes(value: float, unit: str, slides: ArrayLike | bool) -> NDArray[np.floating]:
+def joint_sizes(value: float, unit: str, slides: ArrayLike | bool) -> Array:
     """A size for each joint: `joint_size` of `slides` `(joint,)`."""
     return np.where(np.asarray(slides, bool), joint_size(value, unit, True), value)
 
 
-def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> NDArray[np.floating]:
+def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> Array:
     """Values `(joint, …)` of joints divided by what one `unit` of a revolute joint is of each, for a common threshold.
 
     They are in `unit`, such as `rad/s`, of revolute joints, and in its counterpart of those that slide; `slides` is
@@ -64,9 +65,7 @@ def as_revolute(values: ArrayLike, unit: str, slides: ArrayLike | bool) -> NDArr
     return values / sizes.reshape(sizes.shape + (1,) * (values.ndim - sizes.ndim))
 
 
-def by_kind(
-    name: str, values: NDArray[np.floating], slides: ArrayLike, statistic: Callable[[NDArray[np.floating]], float]
-) -> dict[str, float]:
+def by_kind(name: str, values: Array, slides: ArrayLike, statistic: Callable[[Array], float]) -> dict[str, float]:
     """A statistic of the values `(joint, …)` of revolute joints, and of those of prismatic joints, by its name.
 
     The two have no common unit: `name` has that of a revolute joint, such as `moves_rms_Nm`.
@@ -81,8 +80,6 @@ def by_kind(
 
 # ------------------------------------------------------------------ the arm
 
-
-Array = NDArray[np.floating]
 
 # A published DH table and the six parameters beside it may be rounded differently (the vendor's ROS file has 1.5708).
 _DH_EXACT = 1e-9
@@ -259,7 +256,7 @@ class Arm:
         return field_values(self)
 
     @cached_property
-    def slides(self) -> NDArray[np.bool_]:
+    def slides(self) -> Mask:
         """(joint,) which joints are prismatic."""
         return np.isin(np.arange(self.dof), self.sliding)
 

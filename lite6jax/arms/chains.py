@@ -32,7 +32,7 @@ from lite6jax.arms.se3 import (
     translate,
     turn,
 )
-from lite6jax.deferred import Array, ArrayLike, jax, jit, jnp, lax
+from lite6jax.deferred import ArrayLike, JaxArray, jax, jit, jnp, lax
 from lite6jax.errors import InputError
 
 PARALLEL_WITHIN = np.deg2rad(5.0)
@@ -90,12 +90,12 @@ class SixParameterForm:
         """False for every joint, because all have the same parameters."""
         return np.zeros(self.dof, bool)
 
-    def apply_base(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
+    def apply_base(self, frame: Frame, values: JaxArray) -> tuple[Frame, tuple[Twist, ...]]:
         """The frame unchanged: no transformation precedes joint 1."""
         return frame, ()
 
     def step(
-        self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
+        self, frame: Frame, values: JaxArray | tuple[JaxArray, ...], flag: JaxArray, joint: Turn
     ) -> tuple[Frame, tuple[Twist, ...]]:
         """The frame after the origin and the rotation of one joint, and the twists of the joint's parameters."""
         x, y, z, yaw, pitch, roll = values
@@ -231,10 +231,10 @@ class HayatiForm:
 
     @cached_property
     def flags(self) -> np.ndarray:
-        """Whether beta replaces d, for each joint."""
+        """Flags `(joint,)`, true where beta replaces d."""
         return np.isin(np.arange(self.dof), self.parallel)
 
-    def apply_base(self, frame: Frame, values: Array) -> tuple[Frame, tuple[Twist, ...]]:
+    def apply_base(self, frame: Frame, values: JaxArray) -> tuple[Frame, tuple[Twist, ...]]:
         """The frame after the base transformation, and the twists of the base parameters."""
         twists = []
         for name, by in zip(self._applied_base, values, strict=True):
@@ -253,7 +253,7 @@ class HayatiForm:
         return BASE if self.sliding else self.of_link(-1)
 
     def step(
-        self, frame: Frame, values: Array | tuple[Array, ...], flag: Array, joint: Turn
+        self, frame: Frame, values: JaxArray | tuple[JaxArray, ...], flag: JaxArray, joint: Turn
     ) -> tuple[Frame, tuple[Twist, ...]]:
         """The frame after the motion and the link of one joint, and the twists of the joint's parameters."""
         theta = values[0]
@@ -319,7 +319,7 @@ DH_COLUMNS = [0, 1, 2, 4]
 """The columns of `LINK` that a DH table has: theta_off d a alpha."""
 
 
-def _turn_frame(frame: Frame, axis: int, angle: Array) -> tuple[Frame, Twist]:
+def _turn_frame(frame: Frame, axis: int, angle: JaxArray) -> tuple[Frame, Twist]:
     """The frame turned about its own axis by rad, and the twist of that angle."""
     return rotate(frame, axis, turn(angle)), rotation_twist(frame, axis)
 
@@ -362,13 +362,13 @@ class Bend(NamedTuple):
         twist: `(joint, 6, sample)` m and rad, by which `displace` moves each frame after its joint's rotation.
     """
 
-    stretch: Array | None = None
-    twist: Array | None = None
+    stretch: JaxArray | None = None
+    twist: JaxArray | None = None
 
 
 def sweep(
     form: Form,
-    parameters: Array,
+    parameters: JaxArray,
     joint: Turn,
     start: Frame,
     emit: Callable[[Twist], Any] | None = None,
@@ -403,7 +403,7 @@ def sweep(
     if emit is not None:
         of_frame = [jax.tree.map(lambda leaf: leaf[None], emit(twist)) for twist in twists]
 
-    def walk(frame: Frame, at: tuple[Array, Array, Turn, Bend]) -> tuple[Frame, tuple[Any, ...]]:
+    def walk(frame: Frame, at: tuple[JaxArray, JaxArray, Turn, Bend]) -> tuple[Frame, tuple[Any, ...]]:
         values, flag, motion, bent = at
         if bent.stretch is not None:
             values = (*((1 + bent.stretch) * value for value in values[:3]), *values[3:])
@@ -425,18 +425,18 @@ def sweep_order(form: Form) -> np.ndarray:
     return np.concatenate([form.walking_order[: form.base_size], of_joints.T.ravel()])
 
 
-def link_frames(form: Form, parameters: Array, joint: Turn, start: Frame) -> Frame:
+def link_frames(form: Form, parameters: JaxArray, joint: Turn, start: Frame) -> Frame:
     """The frame after each joint's motion, in the coordinates of `start`; its leaves are `(joint, 3, sample)`."""
     of_base, steps = _in_order(form, parameters)
 
-    def walk(frame: Frame, at: tuple[Array, Array, Turn]) -> tuple[Frame, Frame]:
+    def walk(frame: Frame, at: tuple[JaxArray, JaxArray, Turn]) -> tuple[Frame, Frame]:
         frame, _ = form.step(frame, *at)
         return frame, frame
 
     return lax.scan(walk, form.apply_base(start, of_base)[0], (steps, jnp.asarray(form.flags), joint))[1]
 
 
-def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
+def _in_order(form: Form, parameters: JaxArray) -> tuple[JaxArray, JaxArray]:
     """The parameters of the base `(base_size,)`, and those of the joints `(joint, …)`, in order of application."""
     if form.walking_order.max() == form.size:  # a parameter that is always zero
         parameters = jnp.append(parameters, 0.0)
@@ -445,7 +445,7 @@ def _in_order(form: Form, parameters: Array) -> tuple[Array, Array]:
 
 
 @partial(jit, static_argnums=0)
-def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> JaxArray:
     """Flange poses `T_base_flange` `(..., 4, 4)` of a chain.
 
     Args:
@@ -467,7 +467,7 @@ def fk(form: Form, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
     return frame_transform(frame).reshape(*q.shape[:-1], 4, 4)
 
 
-def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> Array:
+def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike, sliding: tuple[int, ...] = ()) -> JaxArray:
     """Flange poses `(..., 4, 4)` of a six-parameter chain.
 
     Args:
@@ -481,7 +481,7 @@ def six_parameter_fk(kinematics: ArrayLike, joint_position: ArrayLike, sliding: 
     return fk(SixParameterForm(kinematics.shape[0], sliding), kinematics.reshape(-1), joint_position)
 
 
-def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike) -> Array:
+def hayati_fk(form: HayatiForm, parameters: ArrayLike, joint_position: ArrayLike) -> JaxArray:
     """The flange poses of a Hayati chain.
 
     Args:

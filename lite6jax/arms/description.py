@@ -6,14 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import Arm, joint_unit
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 DH = ("theta_off_rad", "d_m", "a_m", "alpha_rad")
 _OPTIONAL = ("joint_limits_rad", "joint_limits", "inertial", "dynamics", "dh", "convention", "flange", "source")
@@ -107,7 +105,7 @@ FRANKA_JOINTS = 7
 
 
 def is_franka(content: Any) -> bool:
-    """Whether the parsed content of a file has the layout of a `kinematics.yaml` of franka_description."""
+    """Tells whether the parsed content of a file has the layout of a `kinematics.yaml` of franka_description."""
     entries_of_joints = ()
     if isinstance(content, Mapping):
         entries_of_joints = content.values()

@@ -21,10 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
 from lite6jax.arms.chains import BASE, DH_COLUMNS, LINK, PARALLEL_WITHIN, HayatiForm, hayati_form_of
+from lite6jax.array_types import Array, Mask
 from lite6jax.errors import InputError, InputWarning, command_line
 
-Array = NDArray[np.floating]
-Irregular = list[tuple[NDArray[np.bool_], str]]
+Irregular = list[tuple[Mask, str]]
 
 _UPRIGHT = np.cos(np.deg2rad(85.0))
 _PARALLEL = np.sin(np.deg2rad(30.0))
@@ -120,7 +120,7 @@ def closed_form(form: HayatiForm, kinematics: Array, nominal: ArrayLike | None =
 
 
 def _irregular_pair(form: HayatiForm, i: int, sine: Array, distance: Array) -> Irregular:
-    """Of the axes of joints i and i + 1: the sine of their angle, and the distance of the second where parallel."""
+    """What is irregular about the axes of joints i and i + 1, by the sine of their angle and the second's distance."""
     pair = f"joints {i + 1} and {i + 2}: their axes"
     if i not in form.parallel:
         return [(sine < 1e-6, f"{pair} are parallel, which this form does not expect; add {i} to `parallel`")]
@@ -165,7 +165,7 @@ def _nearest_turn(angle: Array, near: Array | float) -> Array:
 
 
 def _link_transforms(links: Array) -> tuple[Array, Array]:
-    """Of links `(..., 6)`, `LINK`: Rz(theta_off) Tz(d), and Tx(a) Ty(b) Rx(alpha) Ry(beta), `(..., 4, 4)` each."""
+    """Rz(theta_off) Tz(d), and Tx(a) Ty(b) Rx(alpha) Ry(beta), of links `(..., 6)`, `LINK`; `(..., 4, 4)` each."""
     theta, d, a, b, alpha, beta = np.moveaxis(links, -1, 0)
     o = np.zeros_like(theta)
     rows = [(o, o, d, o, o, theta), (a, b, o, alpha, o, o), (o, o, o, o, beta, o)]
@@ -324,7 +324,7 @@ def _modified_table(base: list[float], links: Array, sliding: tuple[int, ...]) -
 
 
 def is_table(content: Any) -> bool:
-    """Whether the parsed content of a file means to be a table."""
+    """Tells whether the parsed content of a file means to be a table."""
     return isinstance(content, dict) and {"units", "dh"} <= content.keys()
 
 

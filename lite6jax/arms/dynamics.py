@@ -20,12 +20,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import typing as npt
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames, se3
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.se3 import Turn, joint_turn
-from lite6jax.deferred import Array, ArrayLike, jit, jnp, lax
+from lite6jax.array_types import Array, Integers
+from lite6jax.deferred import ArrayLike, JaxArray, jit, jnp, lax
 from lite6jax.errors import InputError
 from lite6jax.few_shapes import filled_motion
 
@@ -43,12 +43,11 @@ is tilted by 1e-6 rad against gravity is noticed, rounding in the sixteenth digi
 _CHUNK = 512
 """Samples at a time: their columns and what these are made of stay in a core's cache."""
 
-Numbers = NDArray[np.floating]
-_Vector = tuple[Array, Array, Array]
+_Vector = tuple[JaxArray, JaxArray, JaxArray]
 """Components, each (sample,), (joint, sample) or a number."""
 
 
-def link_parameters(arm: Arm) -> Numbers:
+def link_parameters(arm: Arm) -> Array:
     """(joint, 10) `PARAMETERS` of each link, about the origin and in the axes of the frame after its joint's motion.
 
     Torques are linear in them: the inertia about the origin is that about the centre of mass plus the parallel-axis
@@ -67,6 +66,13 @@ def link_parameters(arm: Arm) -> Numbers:
     return np.hstack([arm.mass[:, None], first, frames.six_entries(about_origin)])
 
 
+def declared_links(arm: Arm) -> Array:
+    """(joint, 10), as `link_parameters`; zero of an arm whose masses are not declared."""
+    if arm.mass is None:
+        return np.zeros((arm.dof, 10))
+    return link_parameters(arm)
+
+
 class _Motion(NamedTuple):
     """The motion of a link's frame in its own axes; each component (sample,), or (link, sample) of all."""
 
@@ -75,7 +81,7 @@ class _Motion(NamedTuple):
     acceleration: _Vector  # of the frame's origin, less gravity
 
 
-_Carry = tuple[Array, _Vector, _Vector, _Motion]
+_Carry = tuple[JaxArray, _Vector, _Vector, _Motion]
 
 
 class _Step(NamedTuple):
@@ -84,13 +90,13 @@ class _Step(NamedTuple):
     Where the chain has prismatic joints, p contains the shift along z, which changes at the rates of `slide`.
     """
 
-    R: Array  # (3, 3)
-    p: Array  # (3,), or (3, sample) with prismatic joints
-    cos: Array  # (sample,)
-    sin: Array
-    rate: Array
-    rate_change: Array
-    slide: tuple[Array, Array, Array] | None = None  # (), whether it is prismatic; (sample,) m/s and m/s²
+    R: JaxArray  # (3, 3)
+    p: JaxArray  # (3,), or (3, sample) with prismatic joints
+    cos: JaxArray  # (sample,)
+    sin: JaxArray
+    rate: JaxArray
+    rate_change: JaxArray
+    slide: tuple[JaxArray, JaxArray, JaxArray] | None = None  # (), whether it is prismatic; (sample,) m/s and m/s²
 
     def into(self, v: _Vector) -> _Vector:
         """A vector of the previous frame, in the axes of this one."""
@@ -102,7 +108,7 @@ class _Step(NamedTuple):
         return _product(self.R, (self.cos * v[0] - self.sin * v[1], self.sin * v[0] + self.cos * v[1], v[2]))
 
 
-def _steps(kinematics: Array, joint: Turn, dq: Array, ddq: Array, sliding: tuple[int, ...]) -> _Step:
+def _steps(kinematics: JaxArray, joint: Turn, dq: JaxArray, ddq: JaxArray, sliding: tuple[int, ...]) -> _Step:
     """All steps, joint first. Loops over the joints are compiled as loops, for two reasons: unrolled, XLA would fuse
     every step into each of its uses, compute it anew there, and compile for a minute."""
     R = se3.rotation_from_rpy(kinematics[:, 3:])
@@ -118,12 +124,12 @@ def _steps(kinematics: Array, joint: Turn, dq: Array, ddq: Array, sliding: tuple
     return _Step(R, at, cos, sin, turning, change, (jnp.asarray(slides), sliding_rate, sliding_change))
 
 
-def _product(M: Array, v: _Vector) -> _Vector:
+def _product(M: JaxArray, v: _Vector) -> _Vector:
     x, y, z = (M[k, 0] * v[0] + M[k, 1] * v[1] + M[k, 2] * v[2] for k in range(3))
     return x, y, z
 
 
-def _cross(a: _Vector | Array, b: _Vector | Array) -> _Vector:
+def _cross(a: _Vector | JaxArray, b: _Vector | JaxArray) -> _Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -131,7 +137,7 @@ def _sum(a: _Vector, b: _Vector) -> _Vector:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-def _resting(gravity: Array, samples: int) -> _Motion:
+def _resting(gravity: JaxArray, samples: int) -> _Motion:
     """The base, at rest; gravity is an acceleration the other way."""
     zero = jnp.zeros(samples)
     return _Motion((zero, zero, zero), (zero, zero, zero), (zero - gravity[0], zero - gravity[1], zero - gravity[2]))
@@ -170,7 +176,7 @@ def regressor(
     ddq: ArrayLike,
     gravity: ArrayLike,
     sliding: tuple[int, ...] = (),
-) -> Array:
+) -> JaxArray:
     """The matrix that takes all links' inertial parameters to the joints' torques.
 
     Args:
@@ -188,7 +194,7 @@ def regressor(
     joints, samples = motion.shape[1:]
     size = min(samples, _CHUNK)
 
-    def fill(k: ArrayLike, filled: Array) -> Array:
+    def fill(k: ArrayLike, filled: JaxArray) -> JaxArray:
         start = jnp.minimum(k * size, samples - size)  # the last chunk overlaps the one before
         chunk = lax.dynamic_slice_in_dim(motion, start, size, 2)
         steps = _steps(kinematics, joint_turn(chunk[0], sliding), chunk[1], chunk[2], sliding)
@@ -201,8 +207,8 @@ def regressor(
     return filled.reshape(joints, 10 * joints, samples)
 
 
-def _link_motions(steps: _Step, gravity: Array) -> tuple[_Vector, _Vector, _Motion]:
-    """Of each link its motion, (link, sample); of each joint and link the joint's axis, and the velocity of the link's
+def _link_motions(steps: _Step, gravity: JaxArray) -> tuple[_Vector, _Vector, _Motion]:
+    """The motion of each link, (link, sample); of each joint and link the joint's axis, and the velocity of the link's
     origin per unit of the joint's rate: (joint, link, sample), zero for joints that do not move the link."""
     joints, samples = steps.cos.shape
     zero = jnp.zeros((joints, samples))
@@ -231,7 +237,7 @@ def _joint_first(v: _Vector) -> _Vector:
     return jnp.swapaxes(v[0], 0, 1), jnp.swapaxes(v[1], 0, 1), jnp.swapaxes(v[2], 0, 1)
 
 
-def _columns(axis: _Vector, velocity: _Vector, motion: _Motion) -> list[Array]:
+def _columns(axis: _Vector, velocity: _Vector, motion: _Motion) -> list[JaxArray]:
     """Ten (joint, link, sample) torques about the joints' axes, one per unit of each of a link's parameters.
 
     By virtual work: the link's inertial force times the velocity of its origin, plus its moment times the axis.
@@ -258,7 +264,7 @@ def inverse_dynamics(
     ddq: ArrayLike,
     gravity: ArrayLike,
     sliding: tuple[int, ...] = (),
-) -> Array:
+) -> JaxArray:
     """The torques that the motors exert about +z of the joints, without friction, rotor inertia or payload.
 
     A motor that holds a load up exerts the negative of gravity's torque.
@@ -282,7 +288,7 @@ def inverse_dynamics(
         motion = _next(motion, step)
         return motion, motion
 
-    def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, Array]) -> tuple[Any, Array]:
+    def inwards(load: tuple[_Vector, _Vector], link: tuple[_Step, _Motion, JaxArray]) -> tuple[Any, JaxArray]:
         (force, moment), (step, motion, (m, hx, hy, hz, xx, yy, zz, xy, xz, yz)) = load, link
         first = (hx, hy, hz)
         a = motion.acceleration
@@ -307,7 +313,7 @@ def recorded_torques(
     motion: Iterable[npt.ArrayLike],
     gravity: npt.ArrayLike,
     sliding: tuple[int, ...] = (),
-) -> Numbers:
+) -> Array:
     """`inverse_dynamics` of a motion, three `(joint, sample)`, in NumPy: compiled for few numbers of samples."""
     filled, samples = filled_motion(motion)
     return np.asarray(inverse_dynamics(kinematics, parameters, *filled, gravity, sliding))[..., :samples]
@@ -315,7 +321,7 @@ def recorded_torques(
 
 def recorded_regressor(
     kinematics: npt.ArrayLike, motion: Iterable[npt.ArrayLike], gravity: npt.ArrayLike, sliding: tuple[int, ...] = ()
-) -> Numbers:
+) -> Array:
     """`regressor` of a motion, as of `recorded_torques`."""
     filled, samples = filled_motion(motion)
     return np.ascontiguousarray(np.asarray(regressor(kinematics, *filled, gravity, sliding))[..., :samples])
@@ -333,16 +339,16 @@ class BaseParameters:
         basis: (10 × joint, base) an orthonormal basis of the identifiable directions: the rows of `grouping` span it.
     """
 
-    independent: NDArray[np.integer]
-    grouping: Numbers
-    basis: Numbers
+    independent: Integers
+    grouping: Array
+    basis: Array
 
     @property
     def size(self) -> int:
         """The number of base parameters: 36 for six joints in general, 43 for seven."""
         return len(self.independent)
 
-    def values(self, parameters: npt.ArrayLike) -> Numbers:
+    def values(self, parameters: npt.ArrayLike) -> Array:
         """(base,) the combinations' values for links' parameters (joint, 10)."""
         return self.grouping @ np.asarray(parameters, float).ravel()
 
@@ -377,7 +383,7 @@ def base_parameters(kinematics: npt.ArrayLike, gravity: npt.ArrayLike, sliding: 
     return BaseParameters(independent, grouping, basis)
 
 
-def _independent(W: Numbers) -> NDArray[np.integer]:
+def _independent(W: Array) -> Integers:
     """The places of the columns that are no combination of those before them (Gram–Schmidt, twice).
 
     A QR decomposition without pivots would take the rounding of a dependent column for a direction.
@@ -402,7 +408,7 @@ so that the chi-square is nearly the smallest possible; not zero, which flat or 
 _STEPS = 200
 
 
-def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[Numbers, bool]:
+def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt.ArrayLike) -> tuple[Array, bool]:
     """The links (joint, 10) that are bodies, have the given base parameters and are nearest to reference links.
 
     Where no bodies have these base parameters, those of the links are as near to them as positivity allows, relative to
@@ -441,7 +447,7 @@ def consistent_links(base: BaseParameters, values: npt.ArrayLike, reference: npt
     return (to_parameters @ y).reshape(-1, 10), exact
 
 
-def bodies_near(parameters: npt.ArrayLike) -> Numbers:
+def bodies_near(parameters: npt.ArrayLike) -> Array:
     """(joint, 10) links whose pseudo-inertias are those of `parameters` (joint, 10), made positive."""
     P = pseudo_inertia(parameters)
     scale, vectors = np.linalg.eigh(P)
@@ -460,7 +466,7 @@ def set_link_parameters(arm: Arm, parameters: npt.ArrayLike) -> Arm:
     return replace(arm, mass=mass, center_of_mass=center, inertia=about_center)
 
 
-def pseudo_inertia(parameters: npt.ArrayLike) -> Numbers:
+def pseudo_inertia(parameters: npt.ArrayLike) -> Array:
     """(joint, 4, 4) second moments of the mass of links (joint, 10): ∫ρ (x, y, z, 1)(x, y, z, 1)ᵀ dV."""
     parameters = np.asarray(parameters, float)
     tensor = frames.tensor(parameters[:, 4:])
@@ -472,11 +478,11 @@ def pseudo_inertia(parameters: npt.ArrayLike) -> Numbers:
 
 
 def is_consistent(parameters: npt.ArrayLike) -> bool:
-    """Whether every link (joint, 10) is a body: its pseudo-inertia is positive definite."""
+    """Tells whether every link (joint, 10) is a body: its pseudo-inertia is positive definite."""
     return _positive(pseudo_inertia(parameters))
 
 
-def _positive(P: Numbers) -> bool:
+def _positive(P: Array) -> bool:
     try:
         np.linalg.cholesky(P)
     except np.linalg.LinAlgError:
@@ -484,7 +490,7 @@ def _positive(P: Numbers) -> bool:
     return bool(np.isfinite(P).all())
 
 
-def _parameters_of(P: Numbers) -> Numbers:
+def _parameters_of(P: Array) -> Array:
     """(..., 10) inertial parameters of pseudo-inertias (..., 4, 4)."""
     second = P[..., :3, :3]
     tensor = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
@@ -497,15 +503,15 @@ _SYMMETRIC = np.zeros((10, 4, 4))
 _SYMMETRIC[range(10), _I, _J] = _SYMMETRIC[range(10), _J, _I] = np.where(_I == _J, 1.0, np.sqrt(0.5))
 
 
-def _coordinates(Q: Numbers) -> Numbers:
+def _coordinates(Q: Array) -> Array:
     return np.einsum("kab,...ab->...k", _SYMMETRIC, Q)
 
 
-def _matrices(y: Numbers) -> Numbers:
+def _matrices(y: Array) -> Array:
     return np.einsum("jk,kab->jab", y.reshape(-1, 10), _SYMMETRIC)
 
 
-def _block_diagonal(blocks: Numbers) -> Numbers:
+def _block_diagonal(blocks: Array) -> Array:
     """(10 × joint, 10 × joint) of the blocks (joint, 10, 10)."""
     out = np.zeros((len(blocks), 10, len(blocks), 10))
     diagonal = np.arange(len(blocks))
@@ -513,7 +519,7 @@ def _block_diagonal(blocks: Numbers) -> Numbers:
     return out.reshape(10 * len(blocks), -1)
 
 
-def _divergence(y: Numbers) -> tuple[float, Numbers, Numbers]:
+def _divergence(y: Array) -> tuple[float, Array, Array]:
     """Σ tr Q − log det Q with its gradient and Hessian."""
     Q = _matrices(y)
     inverse = np.linalg.inv(Q)
@@ -523,7 +529,7 @@ def _divergence(y: Numbers) -> tuple[float, Numbers, Numbers]:
     return float(value), gradient, Hessian
 
 
-def _constrained(y: Numbers, C: Numbers, d: Numbers) -> Numbers | None:
+def _constrained(y: Array, C: Array, d: Array) -> Array | None:
     """The y of least divergence with C y = d, C of orthonormal rows; None where there seems to be none.
 
     Newton's method from a start that need not satisfy the constraint (S. Boyd, L. Vandenberghe, Convex Optimization,
@@ -531,7 +537,7 @@ def _constrained(y: Numbers, C: Numbers, d: Numbers) -> Numbers | None:
     """
     multiplier = np.zeros(len(d))
 
-    def residual(y: Numbers, multiplier: Numbers) -> Numbers:
+    def residual(y: Array, multiplier: Array) -> Array:
         return np.concatenate([_divergence(y)[1] + C.T @ multiplier, C @ y - d])
 
     for _ in range(_STEPS):
@@ -559,7 +565,7 @@ def _constrained(y: Numbers, C: Numbers, d: Numbers) -> Numbers | None:
     return None
 
 
-def _penalised(y: Numbers, A: Numbers, b: Numbers) -> Numbers:
+def _penalised(y: Array, A: Array, b: Array) -> Array:
     """The y of least ½|A y − b|² + weight × divergence, for weights that fall to `_NEAR` / 2."""
     for weight in 10.0 ** np.arange(6, np.log10(_NEAR / 2) - 0.5, -1):
         for _ in range(_STEPS):

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import frames
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 SIX = ("x", "y", "z", "roll", "pitch", "yaw")
 UR_JOINTS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
@@ -109,7 +107,7 @@ def six_numbers(value: Any, where: str, optional: Sequence[str] = (), limit: flo
 
 @np.errstate(over="ignore", invalid="ignore")  # absurd numbers are out of reach
 def is_reachable(links: Array, limit: float = LENGTH_LIMIT) -> bool:
-    """Whether the flange of a chain (joint, 4, 4) stays within `limit` m of the base: single long links may cancel.
+    """Tells whether the flange of a chain (joint, 4, 4) stays within `limit` m of the base; long links may cancel.
 
     They do along axes that are nearly parallel, whose common normal is far away.
     """

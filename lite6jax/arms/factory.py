@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames
@@ -18,9 +18,8 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import DH_COLUMNS
 from lite6jax.arms.description import bundled_of, maker_of
 from lite6jax.arms.dh import SIZE_LIMIT, hayati_to_six_parameter, is_table, read_table, six_parameter_to_hayati
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError, InputWarning
-
-Array = NDArray[np.floating]
 
 # m; a calibration within this RMS distance of a model is recognised as that model, of several as the nearest. A real
 # xArm 7 is 8.5 mm from its nominal, and the two most similar models (UR3, UR3e) differ by 21 mm.
@@ -328,18 +327,23 @@ def write_factory(kinematics: ArrayLike, path: str | Path, form: str = "vendor",
         InputError: another form or number of joints, a number that is not finite, or as `storage.write_atomically`.
     """
     rows = np.asarray(kinematics, np.float64)
-    if form not in ("vendor", "ur"):
+    if form == "ur":
+        joints = entries.UR_JOINTS
+        fitting = len(rows) == 6
+        expected_shape = "(6, 6)"
+    elif form == "vendor":
+        joints = [f"joint{i + 1}" for i in range(len(rows))]
+        fitting = 0 < len(rows) <= MOST_JOINTS
+        expected_shape = "(joint, 6)"
+    else:
         raise InputError(f"{path}: no form {form!r} of factory files; write 'vendor' or 'ur'")
-    fitting = len(rows) == 6 if form == "ur" else 0 < len(rows) <= MOST_JOINTS
     if rows.ndim != 2 or rows.shape[1] != 6 or not fitting:
-        expected_shape = "(6, 6)" if form == "ur" else "(joint, 6)"
         raise InputError(
             f"{path}: the {form} form holds an array {expected_shape}, not {rows.shape}; choose another form"
         )
     if not np.isfinite(rows).all():
         joint = int(np.argmax(~np.isfinite(rows).all(axis=1))) + 1
         raise InputError(f"{path}: joint{joint} has a number that is not finite; nothing is written")
-    joints = entries.UR_JOINTS if form == "ur" else [f"joint{i + 1}" for i in range(len(rows))]
     content = {
         joint: dict(zip(entries.SIX, row.tolist(), strict=True)) for joint, row in zip(joints, rows, strict=True)
     }

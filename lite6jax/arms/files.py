@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax import storage, suffixes
 from lite6jax.arms import entries, frames, mjcf, urdf
@@ -31,9 +30,9 @@ from lite6jax.arms.factory import (
 )
 from lite6jax.arms.mjcf import read_mjcf, require_mujoco, write_mjcf
 from lite6jax.arms.urdf import SIZE_LIMIT, SPRINGS_LEFT_OUT, LimitKey, read_urdf, write_into_urdf, write_urdf
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 
-Array = NDArray[np.floating]
 FileForm = Literal["vendor", "ur", "table", "urdf", "mjcf", "description", "numpy", "isaac"]
 
 SUFFIXES: dict[FileForm, tuple[str, ...]] = {
@@ -107,7 +106,7 @@ def tip_before_jaw(path: str | Path) -> str:
 
 
 def _is_mjcf(path: str) -> bool:
-    """Whether the root of an arm's XML is MuJoCo's."""
+    """Tells whether the root of an arm's XML is MuJoCo's."""
     root = _ROOT.search(_COMMENT.sub("", storage.read_text(path, SIZE_LIMIT)))
     return root is not None and root[1] == "mujoco"
 
@@ -254,7 +253,7 @@ def omissions(arm: Arm, form: FileForm, calibrated: bool = False) -> list[str]:
 
 
 def is_calibration(path: str | Path) -> bool:
-    """Whether a file is the calibration of an individual arm, valid or not, rather than the description of a model."""
+    """Tells whether a file is the calibration of an individual arm, valid or not, and no description of a model."""
     suffix = Path(path).suffix.lower()
     if suffix not in suffixes.YAML:
         return suffix in (suffixes.JSON, suffixes.DEVIATIONS)

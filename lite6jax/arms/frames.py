@@ -4,9 +4,9 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 BLOCK = 4096
 """Samples whose frames stay in a core's cache: those of all samples would also take a kilobyte each."""
@@ -95,7 +95,7 @@ def frames_at_zero(kinematics: ArrayLike) -> Array:
 
 
 def is_rotation(matrix: ArrayLike) -> bool:
-    """Whether `(3, 3)` numbers are a rotation: orthonormal to 1e-9, and no reflection."""
+    """Tells whether `(3, 3)` numbers are a rotation: orthonormal to 1e-9, and no reflection."""
     R = np.asarray(matrix, float)
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= 1e-9 and np.linalg.det(R) > 0)
 

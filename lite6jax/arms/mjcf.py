@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.trees import SIZE_LIMIT, Joint, Tree, arm_of_chain, axis_frame, find_chain, format_numbers, jaw
+from lite6jax.array_types import Array, Integers
 from lite6jax.errors import InputError, InputWarning
-
-Array = NDArray[np.floating]
 
 _DRIVES = {
     "viscous_friction": "damping",
@@ -59,7 +57,7 @@ def read_mjcf(path: str | Path, base: str | None = None, tip: str | None = None)
 
 def read_chain(
     path: str | Path, base: str | None = None, tip: str | None = None, warn_of_gravity: bool = True
-) -> tuple[Arm, Any, NDArray[np.integer]]:
+) -> tuple[Arm, Any, Integers]:
     """As `read_mjcf`, with MuJoCo's model and the numbers of its joints `(joint,)` that are those of the arm.
 
     Args:
@@ -153,7 +151,7 @@ def _fixed(parent: str, child: str, T: Array) -> Joint:
     return Joint("", "fixed", parent, child, frames.row_from_transform(T), np.array([0.0, 0.0, 1.0]), (0.0, 0.0))
 
 
-def _warn_of_forces(path: str | Path, model: Any, joints: NDArray[np.integer], bodies: list[int]) -> None:
+def _warn_of_forces(path: str | Path, model: Any, joints: Integers, bodies: list[int]) -> None:
     sprung = [model.joint(joint).name for joint in joints if np.any(np.ravel(model.jnt_stiffness[joint])[1:])]
     floating = [model.body(body).name for body in bodies if model.body_gravcomp[body]]
     for forces, names in (

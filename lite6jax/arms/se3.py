@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lite6jax.deferred import Array, ArrayLike, jnp
+from lite6jax.deferred import ArrayLike, JaxArray, jnp
 
 _SERIES_BELOW = 1e-4
 """rad; for smaller angles a two-term series is exact to rounding."""
 
 
-def rotation_from_rpy(rpy: ArrayLike) -> Array:
+def rotation_from_rpy(rpy: ArrayLike) -> JaxArray:
     """Rotation matrices `(..., 3, 3)` from roll, pitch, yaw `(..., 3)`: Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
     rpy = jnp.asarray(rpy)
     sr, sp, sy = jnp.moveaxis(jnp.sin(rpy), -1, 0)
@@ -28,7 +28,7 @@ def rotation_from_rpy(rpy: ArrayLike) -> Array:
     return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
-def quaternion_components(R) -> tuple[Array, Array, Array, Array]:
+def quaternion_components(R) -> tuple[JaxArray, JaxArray, JaxArray, JaxArray]:
     """The unit quaternion w, x, y, z with w ≥ 0 of a rotation given as nine arrays `R[i][j]` of equal shape.
 
     The largest pivot is chosen, which is accurate and differentiable at every angle (S. Shepperd, J. Guidance and
@@ -54,7 +54,7 @@ def quaternion_components(R) -> tuple[Array, Array, Array, Array]:
     return w, x, y, z
 
 
-def rotation_log_components(R) -> tuple[Array, Array, Array]:
+def rotation_log_components(R) -> tuple[JaxArray, JaxArray, JaxArray]:
     """The rotation vector, its angle in [0, π], of a rotation given as nine arrays `R[i][j]`; smooth at identity.
 
     v = 4 arctan(t)/t · q⃗/(1 + w) with t = |q⃗|/(1 + w), the tangent of a quarter angle. Two halvings reduce t below
@@ -78,12 +78,12 @@ def rotation_log_components(R) -> tuple[Array, Array, Array]:
     return factor * x, factor * y, factor * z
 
 
-def rotation_log(R: ArrayLike) -> Array:
+def rotation_log(R: ArrayLike) -> JaxArray:
     """Rotation vectors `(..., 3)` of rotations `(..., 3, 3)`; angle in [0, π] rad."""
     return jnp.stack(rotation_log_components(jnp.moveaxis(jnp.asarray(R), (-2, -1), (0, 1))), -1)
 
 
-def rotation_exp(rotation_vector: ArrayLike) -> Array:
+def rotation_exp(rotation_vector: ArrayLike) -> JaxArray:
     """Rotations `(..., 3, 3)` of rotation vectors `(..., 3)` (Rodrigues), smooth at zero."""
     w = jnp.asarray(rotation_vector)
     sine, versine = _rodrigues(jnp.sum(w * w, -1)[..., None, None])
@@ -91,7 +91,7 @@ def rotation_exp(rotation_vector: ArrayLike) -> Array:
     return jnp.eye(3) + sine * K + versine * (K @ K)
 
 
-def _rodrigues(square: Array) -> tuple[Array, Array]:
+def _rodrigues(square: JaxArray) -> tuple[JaxArray, JaxArray]:
     """sin(n) / n and (1 - cos(n)) / n² by the square of the angle n, smooth at zero."""
     small = square < _SERIES_BELOW**2
     n = jnp.sqrt(jnp.where(small, 1.0, square))
@@ -99,19 +99,19 @@ def _rodrigues(square: Array) -> tuple[Array, Array]:
     return jnp.where(small, 1 - square / 6, jnp.sin(n) / n), jnp.where(small, 0.5 - square / 24, 2 * half * half)
 
 
-def skew(w: ArrayLike) -> Array:
+def skew(w: ArrayLike) -> JaxArray:
     """The matrices `(..., 3, 3)` that map v to w × v."""
     x, y, z = jnp.moveaxis(jnp.asarray(w), -1, 0)
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack(row, -1) for row in ([o, -z, y], [z, o, -x], [-y, x, o])], -2)
 
 
-def quaternion_from_rotation(R: ArrayLike) -> Array:
+def quaternion_from_rotation(R: ArrayLike) -> JaxArray:
     """Unit quaternions `(..., 4)`, scalar first and not negative, of rotations `(..., 3, 3)`."""
     return jnp.stack(quaternion_components(jnp.moveaxis(jnp.asarray(R), (-2, -1), (0, 1))), -1)
 
 
-def transform(R: ArrayLike, p: ArrayLike) -> Array:
+def transform(R: ArrayLike, p: ArrayLike) -> JaxArray:
     """Rigid transforms `(..., 4, 4)` of rotations `(..., 3, 3)` and translations `(..., 3)` in m."""
     R = jnp.asarray(R)
     p = jnp.asarray(p)
@@ -129,17 +129,17 @@ Z = 2
 class Frame(NamedTuple):
     """A moving frame: its axes and its origin in fixed coordinates, each `(3, sample)`."""
 
-    x: Array
-    y: Array
-    z: Array
-    origin: Array
+    x: JaxArray
+    y: JaxArray
+    z: JaxArray
+    origin: JaxArray
 
 
 class Twist(NamedTuple):
     """The motion per unit of one parameter, at the fixed origin: `(3, sample)` each; a translation has no `angular`."""
 
-    linear: Array
-    angular: Array | None
+    linear: JaxArray
+    angular: JaxArray | None
 
 
 class Turn(NamedTuple):
@@ -149,9 +149,9 @@ class Turn(NamedTuple):
     chain of revolute joints pays nothing for the others.
     """
 
-    cos: Array
-    sin: Array
-    shift: Array | None = None
+    cos: JaxArray
+    sin: JaxArray
+    shift: JaxArray | None = None
 
 
 def turn(angle: ArrayLike) -> Turn:
@@ -159,7 +159,7 @@ def turn(angle: ArrayLike) -> Turn:
     return Turn(jnp.cos(angle), jnp.sin(angle))
 
 
-def joint_turn(position: Array, sliding: tuple[int, ...]) -> Turn:
+def joint_turn(position: JaxArray, sliding: tuple[int, ...]) -> Turn:
     """The motions of joints about and along their axes at positions `(..., joint, sample)` rad, or m of those in
     `sliding`."""
     if not sliding:
@@ -177,12 +177,12 @@ def rotate(frame: Frame, axis: int, by: Turn) -> Frame:
     return Frame(axes[0], axes[1], axes[2], frame.origin)
 
 
-def translate(frame: Frame, axis: int, by: Array) -> Frame:
+def translate(frame: Frame, axis: int, by: JaxArray) -> Frame:
     """The frame shifted along its own axis, by m."""
     return frame._replace(origin=frame.origin + by * frame[axis])
 
 
-def displace(frame: Frame, twist: Array) -> Frame:
+def displace(frame: Frame, twist: JaxArray) -> Frame:
     """The frame shifted along its own axes by `twist[:3]` m, then rotated by the rotation vector `twist[3:]` rad."""
     shifted = translate(translate(translate(frame, X, twist[0]), Y, twist[1]), Z, twist[2])
     w = twist[3:]
@@ -205,18 +205,18 @@ def rotation_twist(frame: Frame, axis: int) -> Twist:
     return Twist(cross(frame.origin, frame[axis]), frame[axis])
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: JaxArray, b: JaxArray) -> JaxArray:
     """The cross product over the first axis."""
     return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def frame_transform(frame: Frame) -> Array:
+def frame_transform(frame: Frame) -> JaxArray:
     """The transforms `(sample, 4, 4)` of a frame."""
     R = jnp.stack([frame.x, frame.y, frame.z], 1)
     return transform(jnp.moveaxis(R, -1, 0), frame.origin.T)
 
 
-def base_frame(T: Array, samples: int) -> Frame:
+def base_frame(T: JaxArray, samples: int) -> Frame:
     """A fixed transform `(4, 4)` as the frame of every sample."""
     columns = jnp.broadcast_to(T[:3, :, None], (3, 4, samples))
     return Frame(columns[:, 0], columns[:, 1], columns[:, 2], columns[:, 3])

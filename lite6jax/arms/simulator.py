@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import base_and_tip
 from lite6jax.arms.mjcf import read_chain, require_mujoco
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
-Runs = NDArray[np.integer]
 
 _JOINT_TRANSMISSIONS = (0, 1)
 """mjTRN_JOINT and mjTRN_JOINTINPARENT."""
@@ -64,8 +61,8 @@ class Simulator:
     gravity: Array
     compensated: bool
     model: Any
-    joints: NDArray[np.integer]
-    actuators: NDArray[np.integer]
+    joints: Integers
+    actuators: Integers
 
     @property
     def timestep(self) -> float:
@@ -87,7 +84,7 @@ class Simulator:
     def rolled_out(
         self,
         command: Array,
-        run: Runs,
+        run: Integers,
         period: float,
         start: Array,
         interpolated: bool = False,
@@ -165,7 +162,7 @@ class Simulator:
         model.dof_frictionloss[others] = 0.0
         return model
 
-    def _clipped(self, command: Array) -> NDArray[np.bool_]:
+    def _clipped(self, command: Array) -> Mask:
         """`(sample,)`, where a command is outside the range to which MuJoCo clips it."""
         model = self.model
         controls = _control_addresses(model)[self.actuators]
@@ -189,10 +186,10 @@ class SimulatedMotion:
     """
 
     position: Array
-    clipped: NDArray[np.bool_]
-    touching: NDArray[np.bool_]
-    at_limit: NDArray[np.bool_]
-    at_torque_limit: NDArray[np.bool_]
+    clipped: Mask
+    touching: Mask
+    at_limit: Mask
+    at_torque_limit: Mask
 
 
 def read_simulator(name: str | Path) -> Simulator:
@@ -239,7 +236,7 @@ def read_simulator(name: str | Path) -> Simulator:
     )
 
 
-def _control_addresses(model: Any) -> NDArray[np.integer]:
+def _control_addresses(model: Any) -> Integers:
     """Where in `ctrl` the command of each actuator is."""
     return np.asarray(model.actuator_ctrladr)
 
@@ -284,9 +281,7 @@ def _why_no_servo(model: Any, number: int) -> str:
     return ""
 
 
-def _torque_limits(
-    file: str, model: Any, joints: NDArray[np.integer], actuators: NDArray[np.integer], names: Sequence[str]
-) -> Array:
+def _torque_limits(file: str, model: Any, joints: Integers, actuators: Integers, names: Sequence[str]) -> Array:
     """`(joint,)` Nm, the lesser of what actuator and joint allow; refuses ranges that are not symmetric."""
     gear = np.abs(model.actuator_gear[actuators, 0])
     of_actuator = np.where(
@@ -320,8 +315,8 @@ def _gravity(model: Any, base: str | None) -> Array:
     return data.body(base).xmat.reshape(3, 3).T @ gravity
 
 
-def _is_compensated(file: str, model: Any, joints: NDArray[np.integer]) -> bool:
-    """Whether the weight of all bodies that the arm moves is compensated; refuses where that of some is."""
+def _is_compensated(file: str, model: Any, joints: Integers) -> bool:
+    """Tells whether the weight of all bodies that the arm moves is compensated; refuses where that of some is."""
     moved = {int(model.jnt_bodyid[joints[0]])}
     for body in range(model.nbody):
         if int(model.body_parentid[body]) in moved and body:

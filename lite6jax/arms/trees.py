@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError, InputWarning
-
-Array = NDArray[np.floating]
 
 SIZE_LIMIT = 1 << 23
 """Bytes of a file."""

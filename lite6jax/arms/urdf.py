@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import frames
@@ -27,9 +26,9 @@ from lite6jax.arms.trees import (
     link_body,
     rigid_links,
 )
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 
-Array = NDArray[np.floating]
 LimitKey = Literal["effort", "velocity"]
 
 LARGEST = 1e9

@@ -8,12 +8,13 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax import threads
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import FactoryCalibration, recognise
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.problem import (
     TOLERANCE,
     UNDECLARED_NOISE,
@@ -32,7 +33,6 @@ from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.recordings import Recording
 from lite6jax.recordings.sequence import spread_rows
 
-Array = NDArray[np.floating]
 Loss = Literal["student_t", "least_squares"]
 
 ROUNDING = 1e-15
@@ -203,16 +203,14 @@ def fit_recording(
 
 
 def _information(problem: CalibrationProblem, source: str) -> Array:
-    """Of the data and the declared prior on the movable entries of a step `(size, size)`, at the start."""
+    """Information of the data and the declared prior on the movable entries of a step `(size, size)`, at the start."""
     information = solve(problem, max_steps=0).information
     if not np.isfinite(information).all():
         raise InputError(f"{source}: holds numbers too large to work with; check the units of its columns")
     return np.where(np.outer(problem.movable, problem.movable), information, 0.0)
 
 
-def _free_of_frames(
-    problem: CalibrationProblem, information: Array
-) -> tuple[NDArray[np.bool_], tuple[FixedParameter, ...]]:
+def _free_of_frames(problem: CalibrationProblem, information: Array) -> tuple[Mask, tuple[FixedParameter, ...]]:
     """The entries of a step that can be estimated beside the sensor's frame and the tool, and those held at nominal.
 
     Nothing is known of an unknown frame or tool beforehand. So a number of the geometry that does what they do is held,
@@ -247,8 +245,8 @@ def _free_of_frames(
 
 
 def _without_scale(
-    problem: CalibrationProblem, free: NDArray[np.bool_], held_parameters: tuple[FixedParameter, ...]
-) -> tuple[NDArray[np.bool_], tuple[FixedParameter, ...]]:
+    problem: CalibrationProblem, free: Mask, held_parameters: tuple[FixedParameter, ...]
+) -> tuple[Mask, tuple[FixedParameter, ...]]:
     """The same with the longest length held, where the data set no scale, and noise alone would shrink the chain.
 
     That is so where the measured positions are one point of an unknown frame and no length is known: any chain that
@@ -315,7 +313,7 @@ def _held_out_errors(problem: CalibrationProblem, folds: list[ArmEstimate], weig
 
 
 def _covariance(
-    problem: CalibrationProblem, free: NDArray[np.bool_], estimate: ArmEstimate, freedom: float | None, fitted: float
+    problem: CalibrationProblem, free: Mask, estimate: ArmEstimate, freedom: float | None, fitted: float
 ) -> Array:
     """The covariance of the entries of a step; the prior's precision is added to the data's information."""
     inside = np.ix_(free, free)

@@ -17,6 +17,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm, hayati_fk, six_parameter_fk
 from lite6jax.arms.dh import closed_form
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
+from lite6jax.array_types import Array, Integers
 from lite6jax.calibration.compiled import SINGLE_THREADED
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.residual import POSE
@@ -25,8 +26,6 @@ from lite6jax.calibration.start import SAMPLES, calibration_poses, check_positio
 from lite6jax.errors import InputError, require_type
 from lite6jax.model import LEVER, ArmModel, ModelForm
 from lite6jax.results import PublicResult
-
-Array = NDArray[np.floating]
 
 EXACT = 1e-12
 """m and rad; a model of a calibration that is off by no more has the errors of rounding."""
@@ -205,7 +204,7 @@ class FittedCalibrations(NamedTuple):
     """
 
     result: NDArray[np.int32]
-    steps: NDArray[np.integer]
+    steps: Integers
     parameters: Array
     errors: Array
 

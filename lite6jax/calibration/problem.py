@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration, hayati_of, read_factory
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.calibration.residual import POSE, POSITION
 from lite6jax.calibration.source import arm_of
 from lite6jax.calibration.start import (
@@ -27,7 +27,6 @@ from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.units import other_joints
 from lite6jax.sensors.pose import PoseSensor
 
-Array = NDArray[np.floating]
 Geometry = Literal["declared", "exact", "prior", "free"]
 
 UNDECLARED_NOISE = (1e-4, 1e-3)
@@ -69,7 +68,7 @@ class CalibrationProblem:
     pose: Array
     noise: tuple[float, float | None]
     precision: Array
-    movable: NDArray[np.bool_]
+    movable: Mask
     declared_noise: tuple[float | None, float | None] = (None, None)
     by_joints: Array | None = None
     spread: Array | None = None
@@ -82,7 +81,7 @@ class CalibrationProblem:
 
     @property
     def covariance(self) -> Array:
-        """Of a sample's residual: `(row, row)`, or `(sample, row, row)` with read-out noise of the joints."""
+        """Covariance of a sample's residual: `(row, row)`, or `(sample, row, row)` with read-out noise of joints."""
         position, orientation = self.noise
         variance = np.square((position, orientation or position))
         if self.spread is not None:  # what the noise is more than declared was added to it
@@ -102,7 +101,7 @@ class CalibrationProblem:
             return 1 / np.sqrt(np.diagonal(covariance)[[0, -1]])
         return np.linalg.inv(np.linalg.cholesky(covariance))
 
-    def select(self, samples: NDArray[np.integer] | NDArray[np.bool_]) -> "CalibrationProblem":
+    def select(self, samples: Integers | Mask) -> "CalibrationProblem":
         """With some of the samples."""
         by_joints, spread = (None if part is None else part[samples] for part in (self.by_joints, self.spread))
         q = self.joint_position[samples]
@@ -128,7 +127,7 @@ class DeclaredGeometry(NamedTuple):
     known: FactoryCalibration
     form: ModelForm
     values: Array
-    movable: NDArray[np.bool_]
+    movable: Mask
     precision: Array
     uncertainty: FactoryUncertainty | None
     calibrated: bool
@@ -229,11 +228,12 @@ def recording_problem(
     rotation = measured_rotations(recording)
     pose = recording.position
     assert pose is not None
+    declared = (settings.position_noise_m, None)
     if rotation is not None:
+        declared = (settings.position_noise_m, settings.orientation_noise_rad)
         T = np.zeros((recording.samples, 4, 4))
         T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = rotation, pose, 1.0
         pose = T
-    declared = (settings.position_noise_m, None if rotation is None else settings.orientation_noise_rad)
     observed = None if recording.readings is None else recording.readings.seen
     spread = None
     if observed is not None:
@@ -241,8 +241,11 @@ def recording_problem(
         spread = U @ np.swapaxes(U, 1, 2)
         variance = np.diagonal(spread, axis1=1, axis2=2)
         declared = float(np.sqrt(variance[:, :3].mean())), float(np.sqrt(variance[:, 3:].mean()))
-    noise = (declared[0] or UNDECLARED_NOISE[0], None if rotation is None else declared[1] or UNDECLARED_NOISE[1])
-    lacking = [declared[0] is None, rotation is not None and declared[1] is None]
+    noise = (declared[0] or UNDECLARED_NOISE[0], None)
+    lacking = [declared[0] is None, False]
+    if rotation is not None:
+        noise = (noise[0], declared[1] or UNDECLARED_NOISE[1])
+        lacking[1] = declared[1] is None
     if any(lacking):
         quantities = "positions" if lacking[0] else "orientations"
         if all(lacking):

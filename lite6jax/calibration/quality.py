@@ -7,9 +7,9 @@ from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
+
 QualityVerdict = Literal["good", "above_noise", "bad"]
 Reason = Literal["too_far", "unrelated"]
 
@@ -59,7 +59,7 @@ class Result(IntEnum):
 
 
 class Quality(NamedTuple):
-    """Whether a model describes the poses that it was fitted to.
+    """A judgement whether a model describes the poses that it was fitted to.
 
     Attributes:
         verdict: `good`; `above_noise`, where it does, and more is left than the declared noise; or `bad`.

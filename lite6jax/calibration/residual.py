@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import lax
 
 from lite6jax.arms.chains import sweep, sweep_order
 from lite6jax.arms.se3 import Frame, Turn, Twist, base_frame, cross, joint_turn, rotation_twist
@@ -39,10 +39,10 @@ class Observations(NamedTuple):
     """
 
     joint: Turn
-    position: Array
-    rotation: Array
-    weight: Array
-    whitener: Array
+    position: jax.Array
+    rotation: jax.Array
+    weight: jax.Array
+    whitener: jax.Array
 
 
 class Robust(NamedTuple):
@@ -52,12 +52,12 @@ class Robust(NamedTuple):
     `Robust | None`, None is least squares.
     """
 
-    freedom: Array
-    scale: Array
+    freedom: jax.Array
+    scale: jax.Array
 
 
 def observe(
-    form: ModelForm, joint_position: Array, pose: Array, weight: Array, whitener: Array, block: int
+    form: ModelForm, joint_position: jax.Array, pose: jax.Array, weight: jax.Array, whitener: jax.Array, block: int
 ) -> Observations:
     """One arm's data as the residual wants it, cut into blocks.
 
@@ -75,7 +75,7 @@ def observe(
     pose = jnp.where(used.reshape(-1, *[1] * len(axes)), pose, 1.0)
     q = jnp.where(used[:, None], joint_position, 0.0)
 
-    def blocked(leaf: Array) -> Array:
+    def blocked(leaf: jax.Array) -> jax.Array:
         return jnp.moveaxis(leaf.reshape(-1, block, *leaf.shape[1:]), 1, -1)
 
     count = weight.shape[0] // block
@@ -117,18 +117,20 @@ def predict_frames(form: ModelForm, model: ArmModel, joint: Turn) -> tuple[Frame
     return flange, tool_frame(model, flange)
 
 
-def differences(observed: Observations, tool: Frame) -> Array:
+def differences(observed: Observations, tool: Frame) -> jax.Array:
     """Residuals before whitening, `(row, sample)`, m and rad."""
     return pose.differences(observed.position, observed.rotation, tool)
 
 
-def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
+def residuals(form: ModelForm, model: ArmModel, observed: Observations) -> jax.Array:
     """Whitened, weighted residuals `(row, sample)`: plain code, for automatic differentiation."""
     _, tool = predict_frames(form, model, observed.joint)
     return jnp.sqrt(observed.weight) * whiten(observed.whitener, differences(observed, tool))
 
 
-def _look(observed: Observations, tool: Frame, robust: Robust | None) -> tuple[Array, Array, Array, Array]:
+def _look(
+    observed: Observations, tool: Frame, robust: Robust | None
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
     """Residuals before and after whitening, their cost, and the weight of each sample's residual in the gradient."""
     raw = differences(observed, tool)
     whitened = whiten(observed.whitener, raw)
@@ -142,7 +144,7 @@ def _look(observed: Observations, tool: Frame, robust: Robust | None) -> tuple[A
     return raw, whitened, jnp.sum(observed.weight * cost), observed.weight * weight
 
 
-def _pull(observed: Observations, raw: Array, weighted: Array) -> tuple[Array, Array | None]:
+def _pull(observed: Observations, raw: jax.Array, weighted: jax.Array) -> tuple[jax.Array, jax.Array | None]:
     """The force and the moment `(3, sample)` that whitened residuals exert on the tool, sensor axes; no moment of
     positions."""
     isotropic = observed.whitener.ndim == 1
@@ -154,7 +156,9 @@ def _pull(observed: Observations, raw: Array, weighted: Array) -> tuple[Array, A
     return dual[:3], sum(observed.rotation[:, i] * moment[i] for i in range(3))  # type: ignore[return-value]
 
 
-def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None) -> tuple[Array, Array]:
+def evaluate(
+    form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
+) -> tuple[jax.Array, jax.Array]:
     """The cost of one block of samples and its gradient `(size,)`, by the wrench that each sample's residual exerts.
 
     The gradient is what reverse-mode differentiation of the cost gives, for two walks of the chain.
@@ -166,7 +170,7 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
     if moment is not None:
         about_base = about_base + moment
 
-    def power(twist: Twist) -> Array:
+    def power(twist: Twist) -> jax.Array:
         total = force * twist.linear
         return jnp.sum(total if twist.angular is None else total + about_base * twist.angular)
 
@@ -175,7 +179,7 @@ def evaluate(form: ModelForm, model: ArmModel, observed: Observations, robust: R
 
 def linearise(
     form: ModelForm, model: ArmModel, observed: Observations, robust: Robust | None
-) -> tuple[Array, Array, Array]:
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """The cost of one block, its gradient `(size,)` and Gauss–Newton's curvature JᵀWJ `(size, size)`, by one walk.
 
     The gradient is exact. The curvature is without the logarithm's own derivative, which differs from one by half the
@@ -197,7 +201,7 @@ def linearise(
     turn = root * jnp.concatenate(turns)
     at = np.flatnonzero(np.concatenate(_turning(form)))  # those that turn: the others have no orientation rows
 
-    def product(rows: Array) -> Array:
+    def product(rows: jax.Array) -> jax.Array:
         J = rows.reshape(len(rows), -1)
         return J @ J.T
 
@@ -219,7 +223,7 @@ def linearise(
     return cost, gradient[order], curvature[order][:, order]
 
 
-def twist_columns(form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[[Twist], Array]) -> Array:
+def twist_columns(form: ModelForm, model: ArmModel, joint: Turn, emit: Callable[[Twist], jax.Array]) -> jax.Array:
     """What `emit` makes of the twist of each entry of a step, in sensor coordinates, before `step_order`: arrays of one
     shape."""
     return jnp.concatenate(_walk_twists(form, model, joint, emit)[2])

@@ -15,6 +15,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import HayatiForm
 from lite6jax.arms.dh import write_table
 from lite6jax.arms.factory import FactoryCalibration, hayati_of
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.executables import KeptJit
 from lite6jax.calibration.quality import ROUNDING, Quality, Result, quality_of_calibration, quality_of_poses
 from lite6jax.calibration.residual import pad, padded_size
@@ -23,8 +24,6 @@ from lite6jax.model import ArmModel, ModelForm, predict
 from lite6jax.recordings import Recording, require_radians
 from lite6jax.recordings.fault import DataFault
 from lite6jax.results import PublicResult
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -185,7 +184,7 @@ class Solution(PublicResult):
     result: Result
     steps: int
     covariance: Array | None
-    free: NDArray[np.bool_]
+    free: Mask
     held: tuple[FixedParameter, ...]
     errors: Errors
     nominal_errors: Errors
@@ -224,13 +223,13 @@ class Solution(PublicResult):
         return np.where((share >= 0) & (share <= 1), share, 1.0)
 
     @property
-    def determined(self) -> NDArray[np.bool_]:
+    def determined(self) -> Mask:
         """`(size,)`: estimated, and by more than the prior about nominal."""
         return self.free & (self.prior_share <= FROM_PRIOR)
 
     @cached_property
     def quality(self) -> Quality:
-        """Whether the model describes the data, on rows or samples that were not fitted."""
+        """Judgement whether the model describes the data, on rows or samples that were not fitted."""
         if self.recording is None or self.noise is None:
             return quality_of_calibration(self.checked.position)
         measured = self.recording.position
@@ -244,7 +243,7 @@ class Solution(PublicResult):
         )
 
     @cached_property
-    def outlying(self) -> NDArray[np.bool_]:
+    def outlying(self) -> Mask:
         """`(sample,)`, rows of little weight whose error exceeds the declared noise, or else the rounding of a file."""
         settings = None if self.recording is None else self.recording.settings
         matters = self.errors.position > ((settings and settings.position_noise_m) or ROUNDING)

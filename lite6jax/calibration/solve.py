@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array, lax
+from jax import lax
 from jax.typing import ArrayLike
-from numpy.typing import NDArray
 
 from lite6jax import threads
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.compiled import SINGLE_THREADED
 from lite6jax.calibration.executables import KeptJit
 from lite6jax.calibration.quality import CONVERGED, NOT_FINITE, RUNNING, SINGULAR, STEPS_EXHAUSTED, Result
@@ -43,7 +43,6 @@ from lite6jax.model import ArmModel, ModelForm
 if TYPE_CHECKING:  # a fleet of calibrations does not import what recordings take
     from lite6jax.calibration.problem import CalibrationProblem
 
-Numbers = NDArray[np.floating]
 Solver = Literal["gauss_newton", "levenberg_marquardt"]
 
 CHUNK = 16
@@ -108,10 +107,10 @@ class ChunkSolution(NamedTuple):
     """
 
     model: ArmModel
-    curvature: Array
-    cost: Array
-    status: Array
-    steps: Array
+    curvature: jax.Array
+    cost: jax.Array
+    status: jax.Array
+    steps: jax.Array
 
 
 class Fits(NamedTuple):
@@ -119,13 +118,13 @@ class Fits(NamedTuple):
     used, and root-mean-square errors, m and rad."""
 
     model: ArmModel
-    covariance: Array
-    cost: Array
-    status: Array
-    steps: Array
-    samples: Array
-    position_rms: Array
-    orientation_rms: Array
+    covariance: jax.Array
+    cost: jax.Array
+    status: jax.Array
+    steps: jax.Array
+    samples: jax.Array
+    position_rms: jax.Array
+    orientation_rms: jax.Array
 
 
 def fit_chunks(
@@ -191,10 +190,10 @@ def _fit_chunk(
     form: ModelForm,
     block: int,
     start: ArmModel,
-    joint_position: Array,
-    pose: Array,
-    weight: Array,
-    whitener: Array,
+    joint_position: jax.Array,
+    pose: jax.Array,
+    weight: jax.Array,
+    whitener: jax.Array,
     max_steps: ArrayLike,
     prior: FitConditions | None,
 ) -> Fits:
@@ -212,8 +211,8 @@ def _fit_chunk(
     covariance = jnp.where(regular[:, None, None], covariance, jnp.nan)
     status = jnp.where(doubtful, SINGULAR, solved.status)
 
-    def squares(model: ArmModel, block: Observations) -> tuple[Array, Array]:
-        """Of all distances and angles, zero where missing."""
+    def squares(model: ArmModel, block: Observations) -> tuple[jax.Array, jax.Array]:
+        """Sums of squares of all distances and of all angles, zero where missing."""
         raw = differences(block, predict_frames(form, model, block.joint)[1])
         present = block.weight > 0
         return tuple(jnp.sum(jnp.where(present, jnp.sum(part**2, 0), 0.0)) for part in (raw[:3], raw[3:]))  # type: ignore[return-value]
@@ -227,16 +226,16 @@ def _fit_chunk(
 class _FitState(NamedTuple):
     model: ArmModel
     candidate: ArmModel
-    cost: Array
-    gradient: Array
-    curvature: Array
-    inverse: Array
-    renew: Array
-    damping: Array
-    decrement: Array
-    moved: Array
-    status: Array
-    steps: Array
+    cost: jax.Array
+    gradient: jax.Array
+    curvature: jax.Array
+    inverse: jax.Array
+    renew: jax.Array
+    damping: jax.Array
+    decrement: jax.Array
+    moved: jax.Array
+    status: jax.Array
+    steps: jax.Array
 
 
 def solve_chunk(
@@ -253,8 +252,8 @@ def solve_chunk(
     floor = jnp.sum(observed.weight * per_sample, (1, 2)) * ROUNDING**2  # what residuals of rounding cost
 
     def evaluated(
-        function: Callable[..., tuple[Array, ...]], model: ArmModel, observations: Observations
-    ) -> tuple[Array, ...]:
+        function: Callable[..., tuple[jax.Array, ...]], model: ArmModel, observations: Observations
+    ) -> tuple[jax.Array, ...]:
         """Cost, gradient and, of `linearise`, curvature of one arm."""
         robust = None if prior is None else prior.robust
         cost, gradient, *curvature = over_blocks(partial(function, form, model, robust=robust), observations)
@@ -271,10 +270,10 @@ def solve_chunk(
         prior_curvature = jnp.diag(precision)
         return cost, gradient, *(jnp.where(inside, prior.share * H + prior_curvature, held_diagonal) for H in curvature)
 
-    def at(function: Callable[..., tuple[Array, ...]], models: ArmModel) -> tuple[Array, ...]:
+    def at(function: Callable[..., tuple[jax.Array, ...]], models: ArmModel) -> tuple[jax.Array, ...]:
         return jax.vmap(partial(evaluated, function))(models, observed)
 
-    def choose(condition: Array, new: Any, old: Any) -> Any:
+    def choose(condition: jax.Array, new: Any, old: Any) -> Any:
         """The leaves of one tree or of the other, arm by arm."""
         return jax.tree.map(lambda a, b: jnp.where(condition.reshape(-1, *[1] * (a.ndim - 1)), a, b), new, old)
 
@@ -330,7 +329,7 @@ def solve_chunk(
     return ChunkSolution(state.model, state.curvature, state.cost, state.status, state.steps)
 
 
-def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
+def inverse(H: jax.Array, damping: ArrayLike = 0.0) -> jax.Array:
     """The inverse of H + damping diag(H), by Gauss–Jordan elimination with rows and columns scaled to unit diagonal.
 
     Plain array code on purpose: XLA's batched LAPACK calls share a thread pool with the computation that waits for
@@ -340,7 +339,7 @@ def inverse(H: Array, damping: ArrayLike = 0.0) -> Array:
     scaled = H * scale[:, None] * scale + damping * jnp.eye(H.shape[0])
     places = jnp.arange(H.shape[0])
 
-    def eliminate(k: Array, A: Array) -> Array:
+    def eliminate(k: jax.Array, A: jax.Array) -> jax.Array:
         """One pass over the matrix; updates of a row and a column after it would copy it twice."""
         is_pivot = places == k
         pivot = 1 / A[k, k]
@@ -368,8 +367,8 @@ class ArmEstimate(NamedTuple):
     """
 
     model: ArmModel
-    information: Numbers
-    squares: Numbers
+    information: Array
+    squares: Array
     scale: float
     result: Result
     steps: int
@@ -377,10 +376,10 @@ class ArmEstimate(NamedTuple):
 
 def solve(
     problem: "CalibrationProblem",
-    free: NDArray[np.bool_] | None = None,
+    free: Mask | None = None,
     *,
     start: ArmModel | None = None,
-    weight: Numbers | None = None,
+    weight: Array | None = None,
     freedom: float | None = None,
     solver: Solver = "gauss_newton",
     max_steps: int = MAX_STEPS,
@@ -410,11 +409,11 @@ def solve(
     whitener = data[3] if len(data) > 3 else problem.whitener
     observed = _observe(form, block, *data[:3], whitener)
 
-    def measure(model: ArmModel) -> Numbers:
+    def measure(model: ArmModel) -> Array:
         """`(sample,)`, squared whitened residuals."""
         return np.asarray(_squares(form, model, observed)).reshape(-1)[:count]
 
-    def scale_of(squares: Numbers) -> float:
+    def scale_of(squares: Array) -> float:
         return t_scale(squares[weight > 0], problem.rows, freedom)
 
     model: ArmModel = jax.tree.map(np.asarray, problem.start if start is None else start)
@@ -461,7 +460,7 @@ def solve(
     return ArmEstimate(model, information, squares, scale_of(squares), result, steps)
 
 
-def invert(H: Numbers) -> Numbers:
+def invert(H: Array) -> Array:
     """The inverse of a symmetric matrix, taken after scaling to unit diagonal; NaN where there is none."""
     with np.errstate(all="ignore"):
         root = np.sqrt(np.diagonal(H))
@@ -475,21 +474,21 @@ def invert(H: Numbers) -> Numbers:
 def _solve_arm(
     form: ModelForm, start: ArmModel, observed: Observations, max_steps: int, prior: FitConditions
 ) -> ChunkSolution:
-    """Of one arm, without the axis of arms."""
+    """Solves for one arm, without the axis of arms."""
     first, observations = jax.tree.map(lambda leaf: leaf[None], (start, observed))
     return jax.tree.map(lambda leaf: leaf[0], solve_chunk(form, first, observations, max_steps, prior))
 
 
 def _observe_blocks(
-    form: ModelForm, block: int, joint_position: Array, pose: Array, weight: Array, whitener: Array
+    form: ModelForm, block: int, joint_position: jax.Array, pose: jax.Array, weight: jax.Array, whitener: jax.Array
 ) -> Observations:
     return observe(form, joint_position, pose, weight, whitener, block)
 
 
-def _squares_of_rows(form: ModelForm, model: ArmModel, observed: Observations) -> Array:
+def _squares_of_rows(form: ModelForm, model: ArmModel, observed: Observations) -> jax.Array:
     """`(block, sample)`, squared whitened residuals, zero of a sample of weight zero."""
 
-    def of_block(block: Observations) -> Array:
+    def of_block(block: Observations) -> jax.Array:
         rows = whiten(block.whitener, differences(block, predict_frames(form, model, block.joint)[1]))
         return jnp.where(block.weight > 0, jnp.sum(rows**2, 0), 0.0)
 
@@ -505,7 +504,7 @@ _solve_one_of_few = KeptJit(_solve_arm, 1, **SINGLE_THREADED, xla_backend_optimi
 @partial(jax.jit, static_argnums=(0, 1))
 def _solve_of_record(
     form: ModelForm, max_steps: int, start: ArmModel, observed: Observations, prior: FitConditions
-) -> tuple[ArmModel, Array, Array, Array]:
+) -> tuple[ArmModel, jax.Array, jax.Array, jax.Array]:
     """The model, its cost, whether it converged, and the steps: by the plain residual, differentiated automatically."""
     import optimistix  # which takes 0.3 s
 
@@ -515,7 +514,7 @@ def _solve_of_record(
     free = jnp.asarray(prior.free)
     precision = jnp.asarray(prior.precision)
 
-    def robust_residuals(model: ArmModel, block: Observations) -> Array:
+    def robust_residuals(model: ArmModel, block: Observations) -> jax.Array:
         """Residuals `(row, sample)` whose halved squares are the robust cost: any least-squares solver minimises it."""
         rows = residuals(form, model, block)
         present = block.weight > 0
@@ -526,7 +525,7 @@ def _solve_of_record(
         ratio = jnp.where(small, 1 - u / 2 + u * u / 3 - u**3 / 4, jnp.log1p(safe) / safe)
         return jnp.sqrt((robust.freedom + rows.shape[0]) / robust.freedom * ratio) / robust.scale * rows
 
-    def every_residual(step: Array, _: None) -> Array:
+    def every_residual(step: jax.Array, _: None) -> jax.Array:
         model = form.retract(start, step * free)
         rows = lax.map(partial(robust_residuals, model), observed)
         pull = jnp.sqrt(precision[:n]) * (model.geometry - prior.center)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax import suffixes
 from lite6jax.arms import frames
@@ -19,6 +18,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN, FactoryCalibration, read_factory
 from lite6jax.arms.files import calibrated_arm, read_arm
+from lite6jax.array_types import Array
 from lite6jax.calibration.quality import upper_quartile
 from lite6jax.calibration.start import declared_tool, frames_from_recording
 from lite6jax.errors import InputError, InputWarning, wrong_type
@@ -201,7 +201,7 @@ def matches(recording: Recording) -> list[Match]:
     return sorted(arm_errors, key=lambda match: match[1])
 
 
-def _widest_limits(arms: Sequence[Arm]) -> NDArray[np.floating]:
+def _widest_limits(arms: Sequence[Arm]) -> Array:
     """`(joint, 2)` rad, of several arms of as many joints together."""
     limits = np.stack([arm.joint_limits for arm in arms])
     return np.stack([limits[..., 0].min(0), limits[..., 1].max(0)], 1)

@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.array_types import Array
 from lite6jax.recordings.alignment import frames_from_poses
 
 if TYPE_CHECKING:  # a fleet of calibrations does not import what recordings take
     from lite6jax.recordings import Recording
 
-Array = NDArray[np.floating]
 
 SAMPLES = 300
 """Joint positions that a calibration is fitted at."""

@@ -362,7 +362,7 @@ def _present(as_json: bool, document: Any, report: Any, written: list[Path], cod
 
 
 def _is_folder(source: Path) -> bool:
-    """Whether a source is a folder of recordings or a URL, and not a recording that is a folder."""
+    """Tells whether a source is a folder of recordings or a URL, and not a recording that is a folder."""
     if restore_url(source) is not None:
         return True
     return os.path.isdir(source) and recordings.recording_file(source) is None

@@ -23,7 +23,7 @@ from lite6jax.errors import InputError, command_line, name_options
 from lite6jax.storage import check, check_writable, write_atomically
 
 with import_lazily():
-    from lite6jax import recordings
+    from lite6jax import formatting, recordings
     from lite6jax.arms import arm as arms
     from lite6jax.arms import files
     from lite6jax.calibration import source as sources
@@ -639,7 +639,7 @@ class DetectCommand:
             f"{board_corners} at most in each."
         )
         if left_out:
-            listed = ", ".join(left_out[:6]) + (f" and {len(left_out) - 6} more" if len(left_out) > 6 else "")
+            listed = formatting.shortened(left_out, 6)
             yield Text(f"Left out, as they show fewer than 6 corners or have no joints: {listed}.")
         camera = recording.settings.camera
         if error is not None and camera is not None:

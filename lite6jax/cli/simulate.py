@@ -182,17 +182,24 @@ class SimulateCommand:
         arm = files.read_arm(self.source)
         if len(self.payload) != 1:
             raise InputError("--payload: a log of commands has one; give one")
-        motion = None if self.commands is None else recording_files.read_commands(self.commands, arm)
-        if motion is not None and (motion.time is None or self.samples is not None or self.step is not None):
+        commanded_position = None
+        time = None
+        run = None
+        if self.commands is not None:
+            motion = recording_files.read_commands(self.commands, arm)
             if motion.time is None:
                 raise InputError(f"{self.commands}: commands need times; add time_s")
-            raise InputError(f"--commands {self.commands}: says samples and step; leave --samples and --step out")
+            if self.samples is not None or self.step is not None:
+                raise InputError(f"--commands {self.commands}: says samples and step; leave --samples and --step out")
+            commanded_position = motion.commanded_position
+            time = motion.time
+            run = motion.run
         simulated = simulation.simulate_tracking(
             arm,
-            None if motion is None else motion.commanded_position,
+            commanded_position,
             effects=self.effect,
-            time=None if motion is None else motion.time,
-            run=None if motion is None else motion.run,
+            time=time,
+            run=run,
             samples=simulation.TRACKING_SAMPLES if self.samples is None else self.samples,
             runs=self.runs,
             step=simulation.TRACKING_STEP_S if self.step is None else self.step,

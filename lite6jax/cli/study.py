@@ -96,7 +96,7 @@ class Setup:
 
     @property
     def reads(self) -> bool:
-        """Whether the sensor reads no poses, so that the arm is to reach its places."""
+        """Tells whether the sensor reads no poses, so that the arm is to reach its places."""
         return self.sensor in usual.READINGS
 
     def _of_poses(self, arm: "arms.Arm") -> "information.Experiment":
@@ -422,14 +422,21 @@ class DesignCommand:
         command.check_seed(self.seed)
         self._check_options()
         of_motion = self.torque.torque
-        name = f"{self.out.stem}_{'motion' if of_motion else 'accuracy'}"
+        if of_motion:
+            name = f"{self.out.stem}_motion"
+            design = self._design_motion
+        else:
+            name = f"{self.out.stem}_accuracy"
+            design = self._design_poses
         command.check_figures(self.figures, [name], self.force)
-        design = self._design_motion if of_motion else self._design_poses
         plan, recording, report = design(files.read_arm(self.source))
         written = [recordings.write_recording(recording, self.out, self.force), sidecar]
 
         def draw():
-            yield (figures.designed_motion if of_motion else figures.accuracy_by_count)(plan, self.source)
+            if of_motion:
+                yield figures.designed_motion(plan, self.source)
+            else:
+                yield figures.accuracy_by_count(plan, self.source)
 
         written += command.save_figures(self.figures, [name], draw, self.force)
         return command.present(self.json, plan, report, written)

@@ -12,12 +12,11 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
-
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 CONTROL_PORT = 502
 JOINTS = 7

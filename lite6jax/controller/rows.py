@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
+from lite6jax.array_types import Array
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import SILENCE_S, Reports
 from lite6jax.controller.station import Condition, Station
 from lite6jax.recordings.checks import WINDOW, TorqueNoise
-
-Array = NDArray[np.floating]
 
 PERIOD_US = round(1e6 / protocol.RATES[protocol.REALTIME])
 _STOPPED_CLOCK = 100
@@ -98,7 +97,7 @@ class Rows:
 
     @property
     def torques_computed(self) -> bool:
-        """Whether the torques have no noise, as those of the controller's own model."""
+        """Tells whether the torques have no noise, as those of the controller's own model."""
         return self._torque_noise.absent
 
     @property

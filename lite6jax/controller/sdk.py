@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax import interruption
 from lite6jax.arms import frames
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.arms.frames import compare_transforms
+from lite6jax.array_types import Array
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address
 from lite6jax.controller.station import Condition, read_condition
@@ -46,13 +47,13 @@ class SdkError(InputError):
     """The connection of the SDK has failed; a new one may succeed."""
 
 
-Pose = NDArray[np.floating] | str
+Pose = Array | str
 """`(6,)` x y z roll pitch yaw in mm and rad, or the reason why the controller refuses the joint positions."""
 
 
 def compute_poses(
     address: Address,
-    joints: NDArray[np.floating],
+    joints: Array,
     stop: threading.Event | None = None,
     advance: Callable[[int], object] = lambda row: None,
 ) -> tuple[list[Pose], str, str]:
@@ -198,8 +199,6 @@ def connect_sdk(address: Address, seconds: float = CONNECT_SECONDS) -> Iterator[
 # ------------------------------------------------------------------ verification
 
 
-Array = NDArray[np.floating]
-
 GATE_M = 1e-6
 """m; a larger difference is significant."""
 GATE_RAD = 2e-6
@@ -241,7 +240,7 @@ class KinematicsCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether all differences are below `GATE_M` and `GATE_RAD`."""
+        """Tells whether all differences are below `GATE_M` and `GATE_RAD`."""
         return _agree(self.position, self.orientation)
 
 

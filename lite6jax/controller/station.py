@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import entries, frames
 from lite6jax.arms.arm import Arm, sample_joints
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.factory import RECOGNISED_WITHIN, FactoryCalibration
+from lite6jax.array_types import Array
 from lite6jax.controller import protocol
 from lite6jax.controller.connection import Address, ReportPort, Reports, connect
 from lite6jax.controller.protocol import CALIBRATION_REPLY, HEADER, JOINTS, Calibration, Register, Status
@@ -115,7 +115,7 @@ def _check_reply(received: bytearray, where: str) -> None:
         raise _invalid(where, mismatch, bytes(received))
 
 
-def _read_rows(content: Calibration, where: str, nominal: Arm) -> NDArray[np.floating]:
+def _read_rows(content: Calibration, where: str, nominal: Arm) -> Array:
     """`(joint, 6)` m and rad, after checks of model, finiteness and magnitude."""
     if not content.valid:
         raise _uncalibrated(where)
@@ -172,8 +172,6 @@ def _invalid(where: str, mismatch: str, received: bytes) -> InputError:
 # ------------------------------------------------------------------ the condition
 
 
-Array = NDArray[np.floating]
-
 NO_OFFSET_MM = 1e-4
 NO_OFFSET_RAD = 1e-7
 """Smaller offsets count as zero: the rounding of decimetres to 32 bits."""
@@ -208,12 +206,12 @@ class Condition:
 
     @property
     def has_tool(self) -> bool:
-        """Whether a tool offset is set."""
+        """Tells whether a tool offset is set."""
         return _is_offset(self.tool_offset)
 
     @property
     def has_world(self) -> bool:
-        """Whether poses refer to another frame than the base."""
+        """Tells whether poses refer to another frame than the base."""
         return _is_offset(self.world_offset)
 
     @property

@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm, joint_sizes, sample_joints
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
 from lite6jax.recordings import require_radians
-
-Array = NDArray[np.floating]
 
 SLENDERNESS = 20.0
 """Reach over radius where no radius is given: 4 cm on a Lite 6, 10 cm on a UR10e; an assumption, not a measurement."""
@@ -78,7 +77,7 @@ class SelfCollision(NamedTuple):
 
     arm: Arm
     capsules: tuple[Capsule, ...]
-    pairs: NDArray[np.integer]
+    pairs: Integers
     disabled: tuple[tuple[str, str], ...]
 
     def clearance(self, joint_position: Any) -> Any:
@@ -202,7 +201,7 @@ class Filter(NamedTuple):
     """
 
     name: str
-    accepts: Callable[[Array], NDArray[np.bool_]]
+    accepts: Callable[[Array], Mask]
     distance: Callable[[Any], Any] | None = None
 
 
@@ -270,7 +269,7 @@ def inside_limits(arm: Arm, margin: float = 0.0) -> Array:
     return limits
 
 
-def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> NDArray[np.bool_]:
+def all_pass(filters: Sequence[Filter], joint_position: ArrayLike) -> Mask:
     """Which joint positions pass every filter.
 
     Args:
@@ -356,7 +355,7 @@ def user_filter(reference: str) -> Filter:
     if not callable(function):
         raise InputError(f"{file}: has no function {name!r}; write one, or name another")
 
-    def accepts(q: Array) -> NDArray[np.bool_]:
+    def accepts(q: Array) -> Mask:
         try:
             mask = np.asarray(function(q.copy()))
         except Exception as error:

@@ -10,17 +10,16 @@ from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.design.commands import CommandSegment, connect, draw_segments
 from lite6jax.design.motions import MotionRoom
 from lite6jax.design.tracking import CommandExperiment, Information
 from lite6jax.domains.tracking.rows import even_rows, usual_payload
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 CLEAR = 5.0
 """Standard deviations between two explanations at which a test at a level of 1 % has a power of 99 % or more."""
@@ -77,7 +76,7 @@ class DesignedPair(NamedTuple):
 
     @property
     def clear(self) -> bool:
-        """Whether the designed commands tell them apart."""
+        """Tells whether the designed commands tell them apart."""
         return self.designed >= CLEAR
 
     def to_dict(self) -> dict[str, Any]:
@@ -122,7 +121,7 @@ class CommandPlan:
 
     @cached_property
     def hardest(self) -> tuple[DesignedPair, ...]:
-        """Of each number of each effect the alternative that is nearest to it, but for those that are always alike."""
+        """The nearest alternative to each number of each effect, but for those that are always alike."""
         hardest: dict[tuple[Effect, int | None], DesignedPair] = {}
         for pair in self.pairs:
             key = pair.effect, pair.number
@@ -249,7 +248,7 @@ def _distances_at_random(information: Information, matrices: Array, count: int, 
     return np.sqrt(np.median(information.squares(np.stack(drawn)), axis=0))
 
 
-def _library(segments: Sequence[CommandSegment], lead: int) -> tuple[Array, NDArray[np.integer], NDArray[np.bool_]]:
+def _library(segments: Sequence[CommandSegment], lead: int) -> tuple[Array, Integers, Mask]:
     """All candidates as runs: commands `(sample, joint)`, their runs, and which samples count."""
     parts = [np.concatenate([np.repeat(part.position[:1], lead, 0), part.position]) for part in segments]
     run = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
@@ -263,7 +262,7 @@ def _choose(
     segments: Sequence[CommandSegment],
     matrices: Array,
     recorded: Array,
-    matters: NDArray[np.bool_],
+    matters: Mask,
 ) -> tuple[list[tuple[int, int]], Array]:
     """The candidates that are chosen, each with the sample at which it begins, and the whole motion."""
     groups = _hardest_of(information, matters)
@@ -304,7 +303,7 @@ def _way(room: MotionRoom, position: Array, segment: CommandSegment) -> Array | 
     return connect(room, position[-1], segment.position[0])
 
 
-def _hardest_of(information: Information, matters: NDArray[np.bool_]) -> list[NDArray[np.integer]]:
+def _hardest_of(information: Information, matters: Mask) -> list[Integers]:
     """Pairs of which the nearest counts: those of one number of an effect, or each of findings."""
     groups: dict[Any, list[int]] = {}
     for place, pair in enumerate(information.alternatives):
@@ -314,7 +313,7 @@ def _hardest_of(information: Information, matters: NDArray[np.bool_]) -> list[ND
     return [np.array(places) for places in groups.values()]
 
 
-def _value(squares: Array, groups: Sequence[NDArray[np.integer]]) -> Array:
+def _value(squares: Array, groups: Sequence[Integers]) -> Array:
     """The sum of logarithms of squared distances `(…,)`, of the nearest pair of each group."""
     enough = (_ENOUGH * CLEAR) ** 2
     nearest = [squares[..., group].min(-1) for group in groups]

@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.design.candidates import all_pass, candidates, inside_limits
 from lite6jax.design.motions import MotionRoom
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 KINDS = ("slow sines", "fast sines", "chirp", "slow reversals", "reversals", "steps", "far moves")
 POSTURES = 5

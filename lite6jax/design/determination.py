@@ -10,12 +10,11 @@ from functools import cached_property
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import as_revolute
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.residual import pad
-
-Array = NDArray[np.floating]
 
 NARROW = float(np.deg2rad(10.0))
 """A joint that moves over less than this tells little of what stands on either side of it; rad."""
@@ -123,7 +122,7 @@ class Determination:
     singular_values: Array
     open_directions: Array
     rank: int
-    free: NDArray[np.bool_]
+    free: Mask
     dependencies: tuple[Dependency, ...]
     base: tuple[BaseParameter, ...]
     covariance: Array
@@ -242,7 +241,7 @@ def determination_of(
     )
 
 
-def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.bool_], dict[int, Array]]:
+def _independent_columns(root: Array, order: Sequence[int]) -> tuple[Mask, dict[int, Array]]:
     """Columns that are independent, taken one by one in `order`; of the others, their coordinates `(size,)` in these.
 
     The coordinates of a dependent column are unique, so that each names the smallest set it depends on.
@@ -265,7 +264,7 @@ def _independent_columns(root: Array, order: Sequence[int]) -> tuple[NDArray[np.
     return free, shares
 
 
-def narrow_joints(span: Array, slides: NDArray[np.bool_]) -> list[tuple[int, float]]:
+def narrow_joints(span: Array, slides: Mask) -> list[tuple[int, float]]:
     """Joints, counted from 0, that hardly move, and their range `(joint,)` rad, or m of prismatic joints."""
     return [(int(j), float(span[j])) for j in np.flatnonzero(as_revolute(span, "rad", slides) < NARROW)]
 

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.calibration.fit import fit_recording
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import load_nominal, load_recording, with_arm
@@ -27,8 +28,6 @@ from lite6jax.errors import InputError, require_type
 from lite6jax.model import predict
 from lite6jax.recordings import Recording
 from lite6jax.results import PublicResult
-
-Array = NDArray[np.floating]
 
 WORKSPACE = 1000
 """Joint positions inside the limits over which accuracy is averaged, and at which an arm shows all it can."""
@@ -115,7 +114,7 @@ class Identification(PublicResult):
 
     @property
     def on_last_axis(self) -> bool:
-        """Whether the measured point lies on the last joint's axis, so that this joint does not move it."""
+        """Tells whether the measured point lies on the last joint's axis, so that this joint does not move it."""
         return bool(np.hypot(*np.asarray(self.experiment.model.T_flange_tool)[:2, 3]) < _ON_AXIS)
 
     def narrow(self) -> list[tuple[int, float]]:

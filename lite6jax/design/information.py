@@ -13,12 +13,13 @@ from typing import Any, Literal, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms import description
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm, joint_motion
 from lite6jax.arms.se3 import Frame, Twist, cross, frame_transform
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.residual import BLOCK, predict_frames, step_order, twist_columns
 from lite6jax.design.determination import accumulate_root, each_block
@@ -34,7 +35,6 @@ from lite6jax.recordings.units import real_array
 from lite6jax.sensors.sensor import OwnNumber, Sensor
 from lite6jax.sensors.usual import plan_sensor, sensor_named
 
-Array = NDArray[np.floating]
 Chain = Literal["hayati", "six_parameter"]
 Approach = Literal["sequence", "zero"]
 
@@ -163,13 +163,13 @@ class Experiment:
         )
 
     @cached_property
-    def unknown(self) -> NDArray[np.bool_]:
+    def unknown(self) -> Mask:
         """`(parameter,)`, which of all parameters are unknown."""
         return np.concatenate([self.movable, np.ones(len(self.own) + self.physics.size, bool)])
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the unknown parameters."""
+        """Names of the unknown parameters."""
         sensor_names = (number.name for number in self.own)
         return tuple(compress((*self.form.names, *sensor_names, *self.physics.names), self.unknown))
 

@@ -20,19 +20,17 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.typing import ArrayLike
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_sizes
+from lite6jax.array_types import Array
 from lite6jax.design.candidates import Filter, all_pass, candidates, inside_limits
 from lite6jax.effects.motion import accelerated
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
 
-Matrix = NDArray[np.floating]
-Numbers = Array | Matrix
+Numbers = jax.Array | Array
 """Of JAX where something is differentiated, of NumPy elsewhere."""
 
 VELOCITY = float(np.deg2rad(180.0))
@@ -136,7 +134,7 @@ class MotionRoom:
         inside_limits(self.arm, self.margin)
 
     @cached_property
-    def position(self) -> Matrix:
+    def position(self) -> Array:
         """`(joint, 2)` lower and upper, rad, m of prismatic joints; of more than one turn the middle one."""
         position = inside_limits(self.arm, self.margin)
         middle = position.mean(1, keepdims=True)
@@ -145,7 +143,7 @@ class MotionRoom:
 
     @property
     def samples(self) -> int:
-        """Of one period."""
+        """Number of samples of one period."""
         return round(self.duration * self.rate)
 
     def move(self, free: ArrayLike, time: ArrayLike) -> JointTrajectory:
@@ -156,12 +154,12 @@ class MotionRoom:
         """The motion at so many equidistant instants of a period; plain JAX."""
         return self.move(free, self.duration * np.arange(count) / count)
 
-    def passes(self, free: Matrix) -> bool:
-        """Whether every filter accepts the whole motion."""
+    def passes(self, free: Array) -> bool:
+        """Tells whether every filter accepts the whole motion."""
         return not self.filters or bool(all_pass(self.filters, np.asarray(self.move_evenly(free, _CHECKED).q).T).all())
 
 
-def per_joint(arm: Arm, numbers: ArrayLike, name: str, unit: str, number: str = "number") -> Matrix:
+def per_joint(arm: Arm, numbers: ArrayLike, name: str, unit: str, number: str = "number") -> Array:
     """A number above zero of each joint `(joint,)`, of one for all, of prismatic joints at `LEVER`, or of one for each.
 
     Raises:
@@ -176,7 +174,12 @@ def per_joint(arm: Arm, numbers: ArrayLike, name: str, unit: str, number: str = 
 
 @jax.jit
 def _move(
-    free: Array, time: Array, position: Array, velocity: Array, acceleration: Array, period: Array | float
+    free: jax.Array,
+    time: jax.Array,
+    position: jax.Array,
+    velocity: jax.Array,
+    acceleration: jax.Array,
+    period: jax.Array | float,
 ) -> JointTrajectory:
     """A trigonometric polynomial of degree K is nowhere larger than 1/cos(πK/N) times its largest value at N
     equidistant points of a period (H. Ehlich, K. Zeller, 1964): with that factor the limits hold at every instant."""
@@ -190,7 +193,7 @@ def _move(
     a, b = jnp.split(directions @ rest_to_rest, 2, axis=1)
     rate = 2 * jnp.pi * k / period
 
-    def series(time: Array) -> tuple[Array, Array, Array]:
+    def series(time: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         angle = rate[:, None] * time
         cos = jnp.cos(angle)
         sin = jnp.sin(angle)
@@ -212,7 +215,7 @@ def _move(
     return JointTrajectory(q + (middle - size * (high + low) / 2)[:, None], dq, ddq)
 
 
-def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Matrix]:
+def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Array]:
     """Motions of random direction about random positions that pass every filter, each as large as the limits allow,
     halved until the whole of it passes.
 
@@ -222,7 +225,7 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Mat
     rng = np.random.default_rng(seed)
     middles = candidates(room.arm, _FEWEST * (count + 1), seed, room.filters).joint_position
     lower, upper = room.position.T
-    passed: list[Matrix] = []
+    passed: list[Array] = []
     for attempts, middle in enumerate(middles):
         if len(passed) == count:
             break
@@ -247,8 +250,8 @@ def random_motions(room: MotionRoom, seed: int = 0, count: int = 50) -> list[Mat
 
 
 def ascend(
-    room: MotionRoom, height: Callable[[JointTrajectory], Array], starts: Sequence[Matrix], steps: int
-) -> tuple[Matrix, float, int]:
+    room: MotionRoom, height: Callable[[JointTrajectory], jax.Array], starts: Sequence[Array], steps: int
+) -> tuple[Array, float, int]:
     """Moves uphill from motions that pass the filters, by Adam (D. Kingma, J. Ba, 2015) with a falling rate.
 
     `height` is of a motion of few samples, traceable; each start is `(joint, 2 harmonics)`.
@@ -258,7 +261,7 @@ def ascend(
     """
     distances = [condition.distance for condition in room.filters if condition.distance is not None]
 
-    def climb(free: Array) -> tuple[Array, tuple[Array, Array]]:
+    def climb(free: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         motion = room.move_evenly(free, _POINTS * room.harmonics)
         value = height(motion)
         penalty = jnp.zeros(())

@@ -15,17 +15,15 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lite6jax.array_types import Array, Integers
 from lite6jax.calibration.start import sample_within_limits
 from lite6jax.design.identify import WORKSPACE
 from lite6jax.design.information import Experiment
 from lite6jax.effects.effect import Effect
 from lite6jax.errors import InputError
 from lite6jax.results import PublicResult
-
-Array = NDArray[np.floating]
-Indices = NDArray[np.integer]
 
 _OBSERVABLE = 1e-20
 """A parameter's information over the largest, under which no candidate depends on it."""
@@ -176,7 +174,7 @@ class Pool:
         flat = self.rows[np.asarray(chosen, int)].reshape(-1, self.rows.shape[2])
         return self.base + _RIDGE * np.eye(len(self.base)) + flat.T @ flat
 
-    def foremost(self, criterion: Criterion, chosen: Indices) -> Indices:
+    def foremost(self, criterion: Criterion, chosen: Integers) -> Integers:
         """`chosen`, and the candidates that rank first beside them."""
         gains = criterion.approximate_gains(self.rows, self.information(chosen))
         gains[chosen] = np.inf
@@ -195,7 +193,7 @@ class Design(NamedTuple):
         cycles: how often the exchange went through all poses, the last time in vain unless the limit was reached.
     """
 
-    indices: Indices
+    indices: Integers
     rank: int
     exchanges: int
     cycles: int
@@ -226,7 +224,7 @@ def choose(pool: Pool, count: int, criterion: Criterion) -> Design:
     return Design(chosen[_build(pool, criterion, chosen, 0, count)], rank, exchanges, cycles)
 
 
-def _build(pool: Pool, criterion: Criterion, among: Indices, already: int, count: int) -> list[int]:
+def _build(pool: Pool, criterion: Criterion, among: Integers, already: int, count: int) -> list[int]:
     """`count` of `among`, which begin with those `already` chosen: each the best beside the ones before it."""
     rows = pool.rows[among]
     chosen = list(range(already))
@@ -237,7 +235,7 @@ def _build(pool: Pool, criterion: Criterion, among: Indices, already: int, count
     return chosen
 
 
-def exchange(pool: Pool, criterion: Criterion, chosen: Indices) -> tuple[Indices, int, int]:
+def exchange(pool: Pool, criterion: Criterion, chosen: Integers) -> tuple[Integers, int, int]:
     """A design `(pose,)` improved until no exchange with the foremost candidates does, the exchanges and cycles."""
     exchanges = cycles = 0
     count = len(chosen)
@@ -393,7 +391,7 @@ def plan_poses(
     except InputError:  # positions depend on what no candidate determines
         judged = None
 
-    def curve(indices: NDArray[np.integer]) -> Array:
+    def curve(indices: Integers) -> Array:
         """The accuracy after the first 1, 2, … of some candidates."""
         if judged is None:
             return np.full(len(indices), np.inf)
@@ -468,7 +466,7 @@ def plan_discrimination(
     )
     design = choose(pool, count, by)
 
-    def distances(indices: NDArray[np.integer]) -> Array:
+    def distances(indices: Integers) -> Array:
         variances = -pool.curve(by, indices)
         return 1 / np.sqrt(np.where(np.isfinite(variances), variances, np.nan))
 
@@ -497,13 +495,13 @@ def _prior_information(experiment: Experiment, recorded: ArrayLike | None) -> Ar
     return R.T @ R + experiment.prior
 
 
-def _random_draws(candidates: int, count: int, seed: int) -> Sequence[NDArray[np.integer]]:
+def _random_draws(candidates: int, count: int, seed: int) -> Sequence[Integers]:
     """`count` candidates drawn at random, `_RANDOM_DRAWS` times."""
     random = np.random.default_rng(seed)
     return [random.choice(candidates, count, replace=False) for _ in range(_RANDOM_DRAWS)]
 
 
-def short_path(joint_position: Array) -> NDArray[np.integer]:
+def short_path(joint_position: Array) -> Integers:
     """An order `(pose,)` in which an arm moves little from where all joints are at zero through `(pose, joint)` rad.
 
     From each pose to the nearest, then improved two by two. The distance is the largest move of any joint, which is

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
+from lite6jax.array_types import Array, Integers
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE
 from lite6jax.design.candidates import Candidates, Filter, all_pass, inside_limits
 from lite6jax.design.information import Experiment
@@ -25,8 +25,6 @@ from lite6jax.sensors.board import Camera
 from lite6jax.sensors.points import PointSensor
 from lite6jax.sensors.sensor import Point
 from lite6jax.sensors.usual import READINGS
-
-Array = NDArray[np.floating]
 
 _ROUNDS = 5
 """Times as many poses are tried as are wanted, at most: filters refuse some, and some places are out of reach."""
@@ -131,7 +129,7 @@ def target_of(poses: Array, turned: bool) -> Target:
     return Target(poses[:, :3, 3].T, rotation)  # type: ignore[arg-type]
 
 
-def read_places(of: Experiment, joint_position: Array) -> NDArray[np.integer]:
+def read_places(of: Experiment, joint_position: Array) -> Integers:
     """The place that each pose `(sample, joint)` reads, `(sample,)`; zero of what has but one."""
     T = frames.chain(frames.transform_from_row(of.arm.kinematics), joint_position, of.arm.sliding)
     return of.sensor.nearest(T @ np.asarray(of.model.T_flange_tool))

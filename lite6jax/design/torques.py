@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array as JaxArray
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, joint_size, joint_sizes, joint_unit
 from lite6jax.arms.dynamics import regressor
+from lite6jax.array_types import Array, Mask
 from lite6jax.design.determination import (
     BaseParameter,
     Determination,
@@ -34,8 +34,6 @@ from lite6jax.design.motions import (
 )
 from lite6jax.effects.dynamic import DIRECTION_SPEED
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 JOINT = ("viscous", "Coulomb", "offset", "rotor inertia")
 """The parameters of a joint's friction and drive."""
@@ -115,7 +113,7 @@ class TorqueExperiment:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the unknown parameters, `link3 m·cx` … `joint2 Coulomb`."""
+        """Names of the unknown parameters, `link3 m·cx` … `joint2 Coulomb`."""
         return tuple(name for name, _, _ in self.parameters)
 
     @property
@@ -123,7 +121,7 @@ class TorqueExperiment:
         """`(column,)` their typical sizes, SI."""
         return np.array([size for _, _, size in self.parameters])
 
-    def columns(self, motion: JointTrajectory) -> JaxArray:
+    def columns(self, motion: JointTrajectory) -> jax.Array:
         """Whitened torques per SI unit of the unknown parameters, `(joint, column, sample)`; plain JAX."""
         q, dq, ddq = map(jnp.asarray, motion)
         dof, samples = q.shape
@@ -174,7 +172,7 @@ class TorqueExperiment:
 
     @property
     def confounded(self) -> dict[str, tuple[str, ...]]:
-        """Of each parameter that is only determined with others: the base parameters it is in."""
+        """The base parameters of each parameter that is only determined with others."""
         dependencies = self.possible.dependencies
         return {d.name: tuple(name for name, _, _ in d.partners) for d in dependencies if d.partners}
 
@@ -205,7 +203,7 @@ class TorqueIdentification:
     model: TorqueExperiment
     samples: int
     span: Array
-    determined: NDArray[np.bool_]
+    determined: Mask
     standard_deviation: Array
     condition: float
     log_determinant: float
@@ -213,7 +211,7 @@ class TorqueIdentification:
     notes: tuple[str, ...] = ()
 
     @cached_property
-    def weak(self) -> NDArray[np.bool_]:
+    def weak(self) -> Mask:
         """`(base,)`: determined no better than to a tenth of their typical size."""
         return self.determined & (self.standard_deviation > WELL * self.model.base_scale)
 
@@ -369,7 +367,7 @@ def plan_motion(
 
     stands = np.flatnonzero(model.possible.free)
 
-    def log_determinant(motion: JointTrajectory) -> JaxArray:
+    def log_determinant(motion: JointTrajectory) -> jax.Array:
         columns = model.columns(motion)[:, stands] * model.base_scale[:, None]
         rows = jnp.moveaxis(columns, 1, 0).reshape(len(stands), -1)
         return jnp.linalg.slogdet(rows @ rows.T * (room.samples / motion.q.shape[1]))[1]

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.dynamics import is_consistent, set_link_parameters
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.tracking.coupling import loads_along
 from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
 from lite6jax.domains.tracking.predict import DiagnosedServos
@@ -34,8 +34,6 @@ from lite6jax.effects.servo import (
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
-
-Array = NDArray[np.floating]
 
 NOISE = 1e-4
 """rad, one sigma of a read-out where none is declared: an assumption to plan with."""
@@ -118,7 +116,7 @@ class CommandExperiment:
 
     @property
     def of_findings(self) -> bool:
-        """Whether effects that were found are distinguished from others."""
+        """Tells whether effects that were found are distinguished from others."""
         return bool(self.undecided)
 
     @property
@@ -128,7 +126,7 @@ class CommandExperiment:
 
     # ------------------------------------------------------------------ rollouts
 
-    def problem(self, command: Array, run: NDArray[np.integer], payload: float) -> TrackingProblem:
+    def problem(self, command: Array, run: Integers, payload: float) -> TrackingProblem:
         """Commands `(sample, joint)` rad with the read-outs that the model predicts, as an estimation problem."""
         model = replace(self.model, payload=payload)
         bodies = model.bodies
@@ -212,7 +210,7 @@ def _typical(library: TrackingProblem, effect: Effect) -> list[Array]:
 
 
 def _meet(effect: Effect, other: Effect) -> bool:
-    """Whether two effects move one joint."""
+    """Tells whether two effects move one joint."""
     if isinstance(effect, OfJoint) and isinstance(other, OfJoint):
         return effect.joint == other.joint
     return True
@@ -231,10 +229,10 @@ class _Group(NamedTuple):
         background: columns that are refitted beside.
     """
 
-    pairs: NDArray[np.integer]
-    subjects: NDArray[np.integer]
-    rivals: NDArray[np.integer]
-    background: NDArray[np.integer]
+    pairs: Integers
+    subjects: Integers
+    rivals: Integers
+    background: Integers
 
 
 class _Columns(NamedTuple):
@@ -273,7 +271,7 @@ class Information:
         joints = range(self.experiment.model.dof)
         return (effect.joint - 1,) if isinstance(effect, OfJoint) else tuple(joints)
 
-    def _nuisance(self, first: int) -> tuple[list[Any], NDArray[np.integer]]:
+    def _nuisance(self, first: int) -> tuple[list[Any], Integers]:
         """Columns of unknown servos, and their numbers."""
 
         def change_of(unknown: Any) -> Any:
@@ -362,7 +360,7 @@ class Information:
             columns = np.arange(len(changes), len(changes) + len(rivals))
             changes += rivals
             beside = len(changes)
-            for effect, part in zip(others[0].terms, others[0].slices, strict=True):
+            for effect, part in others[0].pairs:
                 assert isinstance(effect, Effect)
                 at = others[1][part]
                 rest = others[0].part(others[1], [term != effect for term in others[0].terms])
@@ -422,7 +420,7 @@ class Information:
 
     # ------------------------------------------------------------------ motions
 
-    def of_problem(self, problem: TrackingProblem, counted: NDArray[np.bool_]) -> Array:
+    def of_problem(self, problem: TrackingProblem, counted: Mask) -> Array:
         """`(run, column, column)`, the information of each run of a motion; `counted` are its samples that count."""
         columns = self._signatures(problem, [change(problem) for change in self._columns.changes])
         run = np.unique(problem.data.recording.run, return_inverse=True)[1]
@@ -458,7 +456,7 @@ class Information:
         return squared
 
 
-def _beside(matrices: Array, background: NDArray[np.integer]) -> Array:
+def _beside(matrices: Array, background: Integers) -> Array:
     """Information `(…, column, column)` with the background refitted."""
     if not len(background):
         return matrices
@@ -481,7 +479,7 @@ def _explained(inner: Array, between: Array) -> Array:
 
 
 def undecided_of(document: Mapping[str, Any], model: DiagnosedServos) -> tuple[tuple[int, Effect], ...]:
-    """Of each finding in a diagnosis the named effects that may stand for it, by the number of the finding.
+    """The named effects that may stand for each finding in a diagnosis, by the number of the finding.
 
     Raises:
         InputError: the document has effects that the catalogue has not.

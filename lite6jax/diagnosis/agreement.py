@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from lite6jax.array_types import Array
 from lite6jax.effects.effect import Estimate
-
-Array = NDArray[np.floating]
 
 DISAGREE = 0.0027
 """The probability of a difference by chance, three standard deviations, below which two estimates disagree."""
@@ -46,7 +44,7 @@ class Agreement:
 
     @property
     def agree(self) -> bool | None:
-        """Whether both say the same within their uncertainty; None where one of them says nothing."""
+        """Tells whether both say the same within their uncertainty; None where one of them says nothing."""
         return None if self.p_value is None else self.p_value >= DISAGREE
 
     def to_dict(self) -> dict[str, Any]:

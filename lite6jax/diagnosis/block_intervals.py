@@ -1,16 +1,13 @@
 """What a number of a finding scatters by between blocks of the recording, beside what the fit says of it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.estimation.jackknife import stds_over_blocks
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.score_test import longest_time
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.search import Selection
-
-Array = NDArray[np.floating]
 
 BLOCK_TIMES = 3.0
 """Autocorrelation times of the noise in the shortest block: most of its rows are independent of the rows beside it."""

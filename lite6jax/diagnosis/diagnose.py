@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, TypedDict, Unpack, final, overload
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
 from lite6jax.arms.simulator import Simulator, read_simulator
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.problem import Geometry, recording_problem
 from lite6jax.calibration.quality import ROUNDING, Quality, quality_of_poses
 from lite6jax.calibration.source import arm_of, load_nominal, load_recording, with_arm
@@ -59,7 +59,6 @@ from lite6jax.effects.statics import with_mass_errors
 from lite6jax.effects.user_effects import by_domain, require_effects
 from lite6jax.errors import InputError, require_type
 from lite6jax.estimation.concentration import Concentration, concentration
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import orthonormal, outside, scaled_solve, unit_rows
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Terms
@@ -73,8 +72,6 @@ from lite6jax.search.scan import Scan
 from lite6jax.search.search import Selection
 from lite6jax.sensors.pose import PoseSensor
 from lite6jax.sensors.usual import plan_sensor
-
-Array = NDArray[np.floating]
 
 _OUTLIER_SQUARES = 30.0
 """Squared residual over the scale, per number, beyond which a row is an outlier: 5.5 standard deviations."""
@@ -177,7 +174,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out positions per axis, and of orientations as they are fitted, where these were measured.
+        """Held-out errors over the noise: positions per axis, and orientations as they are fitted, where measured.
 
         Where read-outs wander, positions are as they are fitted too: how far read-outs are off in held-out rows is not
         known from the others.
@@ -205,7 +202,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @cached_property
     def quality(self) -> Quality:
-        """Whether the model with the findings describes the poses, on rows that were not used."""
+        """Judgement whether the model with the findings describes the poses, on rows that were not used."""
         problem = self.problem
         fit = self.fit
         valid = self.problem.valid
@@ -293,7 +290,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
 
     @property
     def _covariances(self) -> list[Array]:
-        """Of the numbers of each effect of the model, the last of which are no findings."""
+        """Covariances of the numbers of each effect of the model, the last of which are no findings."""
         uncertainty = self.model.uncertainty
         more = Terms(self.model.physics.effects[len(self.findings) :])
         assert uncertainty is not None
@@ -475,7 +472,7 @@ def _with_faults(finding: Finding, alternatives: Sequence[FaultAlternative]) -> 
     return replace(finding, faults=tuple(fault for fault in alternatives if fault.replaces(finding.effect)))
 
 
-def _outliers(selection: Selection) -> NDArray[np.bool_]:
+def _outliers(selection: Selection) -> Mask:
     """`(sample,)`, rows that are far from the model, and rows without joints.
 
     A residual within the declared noise, or within the rounding of a file, is none, however small the others are.
@@ -540,7 +537,7 @@ def _separating_poses(
 
 
 def _differ(selection: Selection, k: int, rival: Effect) -> bool:
-    """Whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
+    """Tells whether columns of the k-th finding and a rival differ: a link may turn about the next joint's axis."""
     problem = selection.problem
     fit = selection.state.fit
     assert isinstance(problem, PoseProblem)

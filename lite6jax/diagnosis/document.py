@@ -188,7 +188,7 @@ def check_document(document: Any, path: str | Path) -> None:
 
 
 def is_of_tracking(document: Any) -> bool:
-    """Whether a document is a diagnosis of commands and measured joints."""
+    """Tells whether a document is a diagnosis of commands and measured joints."""
     return isinstance(document, dict) and document.get("domain") == "tracking"
 
 
@@ -224,7 +224,8 @@ def _read(document: Any, domain: DomainName, source: str) -> Document[Any]:
     if part is None and named in DOMAINS:
         raise InputError(f"{source}: is a diagnosis of {named}; give one of {domain}")
     if not (isinstance(part, dict) and part.get("schema") == SCHEMA and isinstance(part.get("model"), dict)):
-        kind, wrote = (f"of {domain}", " of one") if domain != "poses" else (f"({SCHEMA} with a model)", "")
-        raise InputError(f"{source}: is no diagnosis {kind}; give what `lite6jax diagnose --out` wrote{wrote}")
+        raise InputError(
+            f"{source}: is no diagnosis of {domain} ({SCHEMA} with a model); give what `lite6jax diagnose --out` wrote"
+        )
     with _refuse_damage(source):
         return check(part, DOMAINS[domain].document)

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from lite6jax.array_types import Array
 from lite6jax.diagnosis.agreement import Agreement, EffectEstimate, compare_estimates
 from lite6jax.diagnosis.gains import compare_gains
 from lite6jax.diagnosis.result import DomainDiagnosis
@@ -20,8 +20,6 @@ from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.kinematic import GravityDirection, PayloadError, TimeOffset
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.terms import Terms
-
-Array = NDArray[np.floating]
 
 _VAGUE = 30.0
 """Typical sizes beyond which the standard deviation of an estimate says that a recording does not show it."""

@@ -7,9 +7,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from lite6jax.array_types import Array
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.partial_residuals import added_torque
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
@@ -27,8 +27,6 @@ from lite6jax.estimation.score_test import ScoreTest, score_test
 from lite6jax.estimation.thresholds import CONFOUNDED, EXACT_BELOW
 from lite6jax.search.scan import ModelScan, Scan
 from lite6jax.search.spectrum import spectrum
-
-Array = NDArray[np.floating]
 
 _KINDS = {
     **dict.fromkeys(
@@ -315,8 +313,10 @@ def _friction_at(diagnosis: TorqueDiagnosis, chosen: Sequence[int], j: int, velo
         effect = fit.terms.terms[k]
         assert isinstance(effect, TorqueEffect)
         total = total + effect.torque(fit.values[fit.terms.slices[k]], typical)[j]
-    scales = zip(fit.terms.terms, fit.terms.slices, strict=True)
-    return total * (1 + sum(fit.values[part][0] for e, part in scales if isinstance(e, Scaling) and e.joint == j + 1))
+    scales = (
+        fit.values[part][0] for effect, part in fit.terms.pairs if isinstance(effect, Scaling) and effect.joint == j + 1
+    )
+    return total * (1 + sum(scales))
 
 
 def _still(dynamics: Dynamics, j: int, velocity: Array) -> Dynamics:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
@@ -13,6 +12,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms, load_bundled
 from lite6jax.arms.dynamics import base_parameters, bodies_near, consistent_links, is_consistent, set_link_parameters
+from lite6jax.array_types import Array
 from lite6jax.diagnosis.document import find_part, model_from_document, parse_document
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.torque.predict import DiagnosedMotors, motion_of_joint
@@ -37,8 +37,6 @@ from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.motion import motion_of
 from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Term
-
-Array = NDArray[np.floating]
 
 _SPEEDS = 200
 """From the fastest one way to the fastest the other, an even number: at rest friction has no direction."""
@@ -98,7 +96,7 @@ def diagnosed_chain(model: DiagnosedArm, nominal: Arm | None = None, alone: bool
     left_out = []
     total = dense(Deflection(), model.dof, 1)
     still = motion_of(np.zeros((1, model.dof)), sliding=model.sliding)
-    for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
+    for effect, part in model.physics.pairs:
         deflection = None
         if isinstance(effect, Bending) and not effect.drivers:
             deflection = dense(effect.deflect(jnp.asarray(model.values)[part], still, None), model.dof, 1)
@@ -150,7 +148,7 @@ def diagnosed_arm(model: DiagnosedMotors) -> tuple[Arm, tuple[str, ...]]:
     springs = np.zeros((2, arm.dof))  # of each joint its stiffness, and its torque at zero
     if arm.spring_stiffness is not None and arm.spring_rest is not None:
         springs = np.stack([arm.spring_stiffness, -arm.spring_stiffness * arm.spring_rest])
-    for effect, part in zip(model.terms.terms, model.terms.slices, strict=True):
+    for effect, part in model.terms.pairs:
         values = model.values[part]
         arm_numbers, phrase = _held(effect, values, model)
         for kind, value in arm_numbers.items():

@@ -32,7 +32,7 @@ class FaultAlternative:
     together_with: tuple[Effect, ...] = ()
 
     def replaces(self, effect: Effect) -> bool:
-        """Whether an effect is one of those that the fault explains."""
+        """Tells whether an effect is one of those that the fault explains."""
         return any(_is_same(effect, other) for other in self.replaced)
 
     def others(self, effect: Effect) -> list[Effect]:
@@ -57,7 +57,7 @@ def missing_effects(effects: Iterable[Effect], others: Iterable[Effect]) -> Iter
 
 
 def _is_same(effect: Effect, other: Effect) -> bool:
-    """Whether two fits call an effect alike: numbers that were chosen for it may differ a little."""
+    """Tells whether two fits call an effect alike: numbers that were chosen for it may differ a little."""
     if (effect.label, effect.drivers, _component(effect)) != (other.label, other.drivers, _component(other)):
         return False
     return abs((effect.chosen or 0.0) - (other.chosen or 0.0)) < _SAME_NUMBER

@@ -12,8 +12,8 @@ Its relative variance is that of c_τ and that of kp / c together.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.diagnosis.agreement import Agreement, EffectEstimate, compare_estimates
 from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.domains.torque.problem import TorqueProblem
@@ -21,8 +21,6 @@ from lite6jax.domains.tracking.problem import TrackingProblem
 from lite6jax.effects.dynamic import CoulombFriction, Friction
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.effects.servo import ServoStiffness
-
-Array = NDArray[np.floating]
 
 _LARGEST_SPREAD = 0.2
 """Relative standard deviation of a friction, below which a ratio of two is nearly normal."""
@@ -121,7 +119,7 @@ def _servo(commands: DomainDiagnosis[TrackingProblem], joint: int, covariance: A
             by_gain[k] = float(unknown.field == "stiffness")
             by_friction[k] = friction * float(unknown.field == "coulomb")
     unknown_count = len(problem.unknowns)
-    for effect, numbers in zip(fit.terms.terms, fit.terms.slices, strict=True):
+    for effect, numbers in fit.terms.pairs:
         if not isinstance(effect, Effect):
             continue
         if effect == ServoStiffness(joint):

@@ -53,7 +53,7 @@ class Options:
 
     @property
     def quick(self) -> bool:
-        """Whether fewer blocks are held out than usual."""
+        """Tells whether fewer blocks are held out than usual."""
         return self.folds < _USUAL_FOLDS
 
 

@@ -10,9 +10,9 @@ from typing import Any, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute
+from lite6jax.array_types import Array, Mask
 from lite6jax.diagnosis.diagnose import Diagnosis
 from lite6jax.diagnosis.result import DomainDiagnosis
 from lite6jax.diagnosis.torque_diagnosis import TorqueDiagnosis
@@ -25,9 +25,6 @@ from lite6jax.effects.effect import Bending, Effect
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.nonparametric import Unnamed
-
-Array = NDArray[np.floating]
-Mask = NDArray[np.bool_]
 
 _POINTS = 1000
 """Points of a curve over the position of a joint; a nonparametric effect has half as many at least."""

@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Any, ClassVar, Generic, NamedTuple, Protocol, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.diagnosis.agreement import Agreement
 from lite6jax.diagnosis.document import SCHEMA, Verdict
 from lite6jax.diagnosis.fault_alternative import FaultAlternative
@@ -22,7 +22,6 @@ from lite6jax.effects.catalogue import Untestable
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.concentration import Concentration
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
@@ -30,7 +29,6 @@ from lite6jax.results import PublicResult
 from lite6jax.search.search import Selection
 from lite6jax.search.state import Alternative
 
-Array = NDArray[np.floating]
 P = TypeVar("P", bound=DomainProblem)
 
 AS_NOISE = 1.2
@@ -93,7 +91,7 @@ class Finding:
 
     @property
     def nearest(self) -> tuple[Effect, float] | None:
-        """Of an effect without a name, the likeliest named one, and its share of the evidence; or None."""
+        """The likeliest named effect in place of one without a name, and its share of the evidence; or None."""
         named_alternatives = [alternative for alternative in self.alternatives if not alternative.term.nonparametric]
         if not self.effect.nonparametric or not named_alternatives:
             return None
@@ -129,7 +127,7 @@ class Finding:
         return self._whole_covariance(larger=True)[:count, :count]
 
     def _whole_covariance(self, larger: bool) -> Array:
-        """Of its numbers, and of the chosen one where that has a standard deviation."""
+        """Covariance of its numbers, and of the chosen one where that has a standard deviation."""
         covariance = self.covariance
         if self.chosen_std:
             covariance = np.asarray(block_diag(covariance, self.chosen_std**2))
@@ -269,11 +267,11 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     @property
     def fit(self) -> Fit:
-        """Of the nuisance and all findings."""
+        """The fit of the nuisance and all findings."""
         return self.selection.state.fit
 
     def has(self, effect: Effect) -> bool:
-        """Whether this very effect is a finding."""
+        """Tells whether this very effect is a finding."""
         return any(finding.effect == effect for finding in self.findings)
 
     @property
@@ -363,7 +361,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     @property
     def _too_few(self) -> bool:
-        """Whether the rows are too few to say anything where nothing was found."""
+        """Tells whether the rows are too few to say anything where nothing was found."""
         return False
 
     @property
@@ -377,7 +375,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
     @property
     @abstractmethod
     def _leaves_noise(self) -> bool:
-        """Whether what the model leaves is noise."""
+        """Tells whether what the model leaves is noise."""
 
     @property
     @abstractmethod
@@ -386,7 +384,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
 
     @abstractmethod
     def _statistics(self, errors: Array, kept: Mask) -> dict[str, Any]:
-        """Of held-out errors `(group, sample)`, on the rows kept."""
+        """Statistics of held-out errors `(group, sample)`, on the rows kept."""
 
     @abstractmethod
     def _peak_to_peak(self, k: int) -> dict[str, Estimate]:
@@ -511,7 +509,7 @@ class DomainDiagnosis(PublicResult, ABC, Generic[P]):
         return {**entry, "log_likelihood_gap": alternative.gap, "status": status}
 
     def _wandering(self, effect: Effect) -> dict[str, Any]:
-        """Of an effect that wanders by itself the entry with its memory; else, and of most domains, nothing."""
+        """The entry with the memory of an effect that wanders by itself; else, and of most domains, nothing."""
         return {}
 
 
@@ -529,16 +527,11 @@ def _fault_alternative(effect: Effect, alternative: FaultAlternative) -> dict[st
 
 def _stated_effect(effect: Effect) -> dict[str, Any]:
     """Which effect, where, of what, and what tells it from others of its name and site."""
-    return {**effect_entry(effect), **_stated_numbers(effect)}
-
-
-def _stated_numbers(effect: Effect) -> dict[str, Any]:
-    """What tells an effect from others of its name and site."""
     numbers = {name: getattr(effect, name, None) for name in ("order", "period_m", "source_joint", "component")}
     stated = {name: value for name, value in numbers.items() if value not in (None, "")}
     if "period_m" in stated:  # what an order is of a prismatic joint
         del stated["order"]
-    return stated
+    return {**effect_entry(effect), **stated}
 
 
 def block_count(folds: Sequence[Mask]) -> int:

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax import storage
 from lite6jax.arms import files
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.mjcf import mjcf_tree, read_mjcf, require_mujoco, write_tree
 from lite6jax.arms.trees import format_numbers
+from lite6jax.array_types import Array, Mask
 from lite6jax.diagnosis.export import with_bodies
 from lite6jax.domains.torque.predict import motion_of_joint
 from lite6jax.domains.tracking.model import Driven
@@ -26,8 +26,6 @@ from lite6jax.domains.tracking.predict import DiagnosedServos, holds_rigidly
 from lite6jax.effects.dynamic import BaseTilt, Dynamics, JointTorque, UnnamedInLoop
 from lite6jax.effects.servo import UNLIMITED, Servo
 from lite6jax.errors import InputError, InputWarning
-
-Array = NDArray[np.floating]
 
 _PHRASES = {
     "integral": "the integral part of the servo",
@@ -177,7 +175,7 @@ def _name_of(effect: Driven) -> str:
     return name
 
 
-def _present(servo: Servo, name: str) -> NDArray[np.bool_]:
+def _present(servo: Servo, name: str) -> Mask:
     """`(joint,)`, which joints have something beyond an ideal servo."""
     if name == "eccentricity":
         return (servo.sine != 0) | (servo.cosine != 0)
@@ -189,7 +187,7 @@ def _present(servo: Servo, name: str) -> NDArray[np.bool_]:
     return values != 0
 
 
-def _beyond(servo: Servo, name: str, form: files.FileForm) -> NDArray[np.bool_]:
+def _beyond(servo: Servo, name: str, form: files.FileForm) -> Mask:
     """`(joint,)`, which joints have a number that a form does not take although it has a place for the field."""
     none = np.zeros(len(servo.stiffness), bool)
     if form == "numpy":
@@ -199,7 +197,7 @@ def _beyond(servo: Servo, name: str, form: files.FileForm) -> NDArray[np.bool_]:
     return servo.delay < 0 if name == "delay" else none
 
 
-def _joints(present: NDArray[np.bool_]) -> str:
+def _joints(present: Mask) -> str:
     joint_names = [f"joint{joint + 1}" for joint in np.flatnonzero(present)]
     return " and ".join(filter(None, (", ".join(joint_names[:-1]), joint_names[-1])))
 

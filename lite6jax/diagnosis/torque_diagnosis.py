@@ -9,10 +9,10 @@ from functools import cached_property, partial
 from typing import Any, ClassVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm, by_kind
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.estimates import compare_effects
 from lite6jax.diagnosis.heldout import errors_of_folds, errors_of_selection, fold_count, judge_by_folds, verify
@@ -38,7 +38,6 @@ from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import Fit
 from lite6jax.estimation.least_squares import fit as fit_numbers
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
 from lite6jax.estimation.score_test import longest_time, remaining_noise_model
 from lite6jax.estimation.terms import Terms
@@ -49,8 +48,6 @@ from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, Start, search, supported
 from lite6jax.search.state import State, fitted_again
-
-Array = NDArray[np.floating]
 
 
 @final
@@ -75,7 +72,7 @@ class TorqueDiagnosis(DomainDiagnosis[TorqueProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out errors of each joint, RMS, over the declared noise as the filter leaves it.
+        """RMS of held-out errors of each joint over the declared noise as the filter leaves it.
 
         Every sample counts but those of data faults: a mean that is robust says nothing of what acts at reversals.
         """

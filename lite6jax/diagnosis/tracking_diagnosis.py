@@ -9,11 +9,11 @@ from functools import cached_property, partial
 from typing import Any, ClassVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.simulator import Simulator
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.calibration.source import declared_arm_of, with_calibration
 from lite6jax.diagnosis.heldout import HeldOut, errors_of_folds, errors_of_refit, judge_by_folds, verify
 from lite6jax.diagnosis.options import Options
@@ -41,7 +41,6 @@ from lite6jax.effects.dynamic import UnnamedInLoop
 from lite6jax.effects.effect import Effect, Estimate
 from lite6jax.estimation.least_squares import fit, relinearise
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, LISTED, MARGIN
 from lite6jax.progress import Stage, entered, followed, part
@@ -50,8 +49,6 @@ from lite6jax.search.final_estimates import final_estimates
 from lite6jax.search.search import Selection, Start, chance_of, nearest_of, search, select
 from lite6jax.search.select import Selector
 from lite6jax.search.state import Alternative, SelectedTerm, State, fitted_again, refitted
-
-Array = NDArray[np.floating]
 
 _BLOCKS = 5
 """Of each run; every other one is held out of the fit that is judged. Each has slow and fast parts of the motion."""
@@ -83,7 +80,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 
     @cached_property
     def over_noise(self) -> dict[str, float | None]:
-        """Of held-out errors of each joint, RMS, over the noise of its encoder with that of the rollout."""
+        """RMS of held-out errors of each joint over the noise of its encoder with that of the rollout."""
         errors = (self.after / self.problem.sigma)[:, ~self.outliers]
         names = [f"joint{j}" for j in range(1, self.problem.rows + 1)]
         return dict(zip(names, np.sqrt(np.mean(errors**2, 1)).tolist(), strict=True))
@@ -169,7 +166,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 
     @property
     def _servos(self) -> list[dict[str, float]]:
-        """Of each joint its servo's numbers with the effects: stiffness, lag and sag; without masses over a factor.
+        """The numbers of each joint's servo with the effects: stiffness, lag and sag; without masses over a factor.
 
         The lag is how far, in time, a joint at constant velocity is behind its command, friction and delay apart.
         """
@@ -213,7 +210,7 @@ class TrackingDiagnosis(DomainDiagnosis[TrackingProblem]):
 # ------------------------------------------------------------------ blocks inside each run
 
 
-def interleaved_folds(run: NDArray[np.integer]) -> list[Mask]:
+def interleaved_folds(run: Integers) -> list[Mask]:
     """Two sets of samples `(sample,)`: every other one of five blocks inside each run, and the blocks between them.
 
     Whole runs would differ in their speeds and loads, so that a model of some says little of the others.
@@ -305,7 +302,7 @@ def _fitted(problem: TrackingProblem, terms: Terms, values: Array, options: Engi
 
 
 def _is_as_described(selection: Selection) -> bool:
-    """Whether any joint that moves follows as described, but for noise: rollouts then describe the arm exactly."""
+    """Tells whether a joint that moves follows as described, but for noise: rollouts then describe the arm exactly."""
     problem = selection.problem
     assert isinstance(problem, TrackingProblem)
     errors = selection.state.fit.residuals.rows * problem.sigma
@@ -469,7 +466,7 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
 
 
 def _is_of_servos(change: Array, problem: TrackingProblem, others: tuple[Terms, Array], before: Array) -> bool:
-    """Whether unknown servos can do what an effect changes, but for what descriptions of other effects may be wrong.
+    """Tells whether unknown servos can do what an effect changes, but for what other descriptions may be wrong.
 
     Args:
         change: `(joint, valid sample)`, over the noise.

@@ -6,13 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.diagnosis.tracking_diagnosis import TrackingDiagnosis
 from lite6jax.domains.tracking.ranges import differentiate_runs, resting_loads, reversals, run_ends
-from lite6jax.estimation.problem import Mask
 
-Array = NDArray[np.floating]
 Quantity = Literal["speed", "load", "since_reversal"]
 
 _LONGEST = 4.0
@@ -125,7 +123,7 @@ def _most_improved(found: TrackingDiagnosis) -> tuple[int, ...]:
     return tuple(joint for joint in order.tolist() if gains[joint] >= _LEAST_GAIN * gains[order[0]])
 
 
-def _stretches(run: NDArray[np.integer], folds: Sequence[Mask], length: int) -> Iterator[slice]:
+def _stretches(run: Integers, folds: Sequence[Mask], length: int) -> Iterator[slice]:
     """Parts of `length` samples at most, each of one run and of rows that were held out together."""
     blocks = len(folds) * run.astype(int) + np.argmax(folds, axis=0)
     for first, last in zip(*run_ends(blocks), strict=True):
@@ -134,7 +132,7 @@ def _stretches(run: NDArray[np.integer], folds: Sequence[Mask], length: int) -> 
             yield slice(begin, min(begin + length, last))
 
 
-def _reversed_rows(position: Array, run: NDArray[np.integer]) -> Mask:
+def _reversed_rows(position: Array, run: Integers) -> Mask:
     """`(sample,)`, where a joint with these positions `(sample,)` rad reverses."""
     rows = np.zeros(len(position), bool)
     for first, last in zip(*run_ends(run), strict=True):
@@ -142,7 +140,7 @@ def _reversed_rows(position: Array, run: NDArray[np.integer]) -> Mask:
     return rows
 
 
-def _samples_since(marked: Mask, run: NDArray[np.integer]) -> Array:
+def _samples_since(marked: Mask, run: Integers) -> Array:
     """`(sample,)`, how many samples ago the last marked row of the run was; NaN before its first one."""
     since = np.full(len(marked), np.nan)
     for first, last in zip(*run_ends(run), strict=True):

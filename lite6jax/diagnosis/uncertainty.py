@@ -4,10 +4,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from lite6jax.arms.arm import as_revolute
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.pose.kinematics import FRAMES, whitened
 from lite6jax.domains.pose.predict import Derivatives, DiagnosedArm
 from lite6jax.domains.pose.problem import ONCE_PER_TURN, PoseProblem
@@ -16,13 +16,10 @@ from lite6jax.domains.torque.problem import TorqueProblem
 from lite6jax.domains.uncertainty import RecordedRange, Uncertainty, distance_to, freed
 from lite6jax.effects.motion import in_another_recording
 from lite6jax.estimation.least_squares import Fit
-from lite6jax.estimation.problem import Mask, prior_precision
+from lite6jax.estimation.problem import prior_precision
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
 from lite6jax.recordings.sequence import spread_rows
-
-Array = NDArray[np.floating]
-Rows = NDArray[np.integer]
 
 _ROWS = 200
 """Recorded rows that are kept to measure the distance from."""
@@ -237,7 +234,7 @@ def _excess(variance: Array, noise: float, numbers: float) -> float:
     return float(np.sqrt(error * max(z + np.exp(-0.5 * z**2 - log_ndtr(z)) / np.sqrt(2 * np.pi), 0.0)))
 
 
-def _spacing(q: Array, rows: Rows, kept_rows: Rows, folds: Iterable[Mask]) -> float:
+def _spacing(q: Array, rows: Integers, kept_rows: Integers, folds: Iterable[Mask]) -> float:
     """The distance in `q` `(sample, joint)` rad to the nearest kept row of other blocks that 95 % of rows keep, rad."""
     distances = []
     for fold in folds:
@@ -250,6 +247,6 @@ def _spacing(q: Array, rows: Rows, kept_rows: Rows, folds: Iterable[Mask]) -> fl
     return 0.0
 
 
-def _ranges(drivers: Mapping[str, Any], rows: Rows) -> dict[str, tuple[float, float]]:
+def _ranges(drivers: Mapping[str, Any], rows: Integers) -> dict[str, tuple[float, float]]:
     """The least and the greatest value of each driver over some rows."""
     return {phrase: (float(values[rows].min()), float(values[rows].max())) for phrase, values in drivers.items()}

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lite6jax.array_types import Array
 from lite6jax.domains.entries import Document
 from lite6jax.domains.uncertainty import Uncertainty
 from lite6jax.domains.words import Words
@@ -18,7 +16,6 @@ from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 
-Array = NDArray[np.floating]
 DomainName = str
 """Of a domain that is known: "poses", "torques", "tracking"."""
 

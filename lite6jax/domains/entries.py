@@ -10,11 +10,11 @@ from typing import Annotated, Any, ClassVar, Generic, TypeVar
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import LARGEST_MASS
 from lite6jax.arms.entries import ANGLE_LIMIT, LENGTH_LIMIT
+from lite6jax.array_types import Array
 from lite6jax.domains.uncertainty import RecordedRange, ReferenceOrigin, Uncertainty, freed
 from lite6jax.effects.catalogue import kinds_of
 from lite6jax.effects.effect import Effect, require_kind
@@ -23,7 +23,6 @@ from lite6jax.errors import InputError
 from lite6jax.recordings.settings import HIGHEST_TEMPERATURE, LARGEST_GRAVITY
 from lite6jax.storage import Count, NonNegative, Number, Strict
 
-Array = NDArray[np.floating]
 M = TypeVar("M", bound="ModelEntry")
 
 _FARTHEST = 1e4

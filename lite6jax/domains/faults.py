@@ -12,13 +12,12 @@ from itertools import chain, combinations
 from typing import Any, Generic, Literal, Protocol, Self, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.estimation.prior import PRIOR, Prior
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 
-Array = NDArray[np.floating]
 Hypothesis = tuple["SuspectedFault", ...]
 Data = TypeVar("Data")
 
@@ -173,7 +172,7 @@ def joined(hypothesis: Hypothesis, more: Hypothesis) -> Hypothesis:
 
 
 def compatible(hypothesis: Hypothesis, more: Hypothesis) -> bool:
-    """Whether no change of one repeats or takes back one of the other."""
+    """Tells whether no change of one repeats or takes back one of the other."""
     made = {(fault.code, frozenset(fault.joints)) for fault in hypothesis}
     excluded = {code for fault in hypothesis for group in _ONE_OF if fault.code in group for code in group}
     return not any((fault.code, frozenset(fault.joints)) in made or fault.code in excluded for fault in more)
@@ -251,7 +250,7 @@ class Ranking(Protocol):
         ...
 
     def suffices(self, nearest: Hypothesis, cost: float, before: float) -> bool:
-        """Whether to stop: `nearest` costs `cost`, and with one change less the least cost was `before`."""
+        """Tells whether to stop: `nearest` costs `cost`, and with one change less the least cost was `before`."""
         ...
 
 
@@ -290,7 +289,7 @@ def distinct(hypotheses: Iterable[Hypothesis], alike: Callable[[Hypothesis, Hypo
 
 
 def simplest(hypotheses: Sequence[Hypothesis], simplicity: Callable[[Hypothesis], Any]) -> list[Hypothesis]:
-    """Of hypotheses that fit alike those of least `simplicity`; what others add to one of them does not show."""
+    """The hypotheses of least `simplicity` among some that fit alike; what others add to one of them does not show."""
     ranks = {h: simplicity(h) for h in hypotheses}
     least = min(ranks.values())
     simple = [h for h in hypotheses if ranks[h] == least]

@@ -1,7 +1,7 @@
 """What a model of what joints do, their torques or how they follow commands, says of its arm."""
 
 from lite6jax.arms.arm import Arm
-from lite6jax.domains.uncertainty import Array
+from lite6jax.array_types import Array
 
 
 class JointModel:

@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import overload
 
-import numpy as np
 from jax.typing import ArrayLike
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.base import DomainModel
 from lite6jax.domains.pose.predict import DiagnosedArm, Prediction
 from lite6jax.domains.torque.predict import DiagnosedMotors, TorquePrediction
@@ -21,7 +20,7 @@ Motion = Recording | str | Path | ArrayLike
 
 def predict(
     model: DiagnosedArm | DiagnosedMotors | DiagnosedServos, motion: Motion, **circumstances: ArrayLike
-) -> NDArray[np.floating]:
+) -> Array:
     """The poses `T_sensor_tool` `(sample, 4, 4)`, the torques `(sample, joint)` Nm, or the joints `(sample, joint)` rad
     that follow commands, that the sensors of a diagnosed recording would show in a motion.
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.effects.effect import Effect
+from lite6jax.estimation.projection import diagonal_root
 
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
 Site = tuple[str, int, int]
 """A number of the nuisance: what it is of, of which joint or frame, from 0, and which number of that."""
 
@@ -128,7 +128,7 @@ def independent_directions(covariance: Array) -> Array:
 
     Numbers that no row shows are as uncertain as their prior, and cancel: the directions are independent.
     """
-    root = np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
+    root = diagonal_root(covariance)
     eigenvalues, V = np.linalg.eigh(covariance / np.outer(root, root))
     return (V * np.sqrt(np.maximum(eigenvalues, 0.0)) * root[:, None]).T
 
@@ -149,11 +149,11 @@ def beyond_range(values: Array, lower: ArrayLike, upper: ArrayLike, least: Array
 def widened(
     variance: Array,
     known: Uncertainty,
-    rows: NDArray[np.integer],
+    rows: Integers,
     distance: Array,
     beyond: Mapping[str, Array],
     contained: Collection[str],
-) -> tuple[Array, Flags]:
+) -> tuple[Array, Mask]:
     """The variance `(row, sample)` with that of what is left of the model, and where a motion leaves what was recorded.
 
     Args:

@@ -205,7 +205,7 @@ def sliding(document: Document) -> tuple[int, ...]:
 
 
 def effort_units(document: Document) -> tuple[str, ...]:
-    """Of what the motor of each joint exerts: Nm, or N of a prismatic one."""
+    """Units of what the motor of each joint exerts: Nm, or N of a prismatic one."""
     return torque_units(sliding(document), len(document["model"]["kinematics"]))
 
 

@@ -9,9 +9,9 @@ from itertools import product
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute, joint_size
+from lite6jax.array_types import Array
 from lite6jax.effects import dynamic, kinematic, servo
 from lite6jax.effects.composition import missing
 from lite6jax.effects.drivers import Driver
@@ -200,7 +200,7 @@ def tracking_catalogue(dof: int) -> tuple[Effect, ...]:
     )
 
 
-def resolved_speeds(motion: Motion) -> NDArray[np.floating]:
+def resolved_speeds(motion: Motion) -> Array:
     """`(joint,)` rad/s, m/s of prismatic joints, below which a motion shows nothing of how friction depends on speed.
 
     A speed that a joint passes within one sample where it reverses, in most reversals, leaves no sample below it. One
@@ -219,7 +219,7 @@ def resolved_speeds(motion: Motion) -> NDArray[np.floating]:
 
 
 def torque_shaped(
-    motion: Motion, resolved: NDArray[np.floating], shares: Sequence[float] = SPEEDS
+    motion: Motion, resolved: Array, shares: Sequence[float] = SPEEDS
 ) -> tuple[dynamic.TorqueEffect, ...]:
     """Stribeck friction and Coulomb friction with a transition at a few of their speeds, viscous friction by exponents.
 
@@ -276,6 +276,11 @@ class Listed:
     description: str
     in_simulators: dict[str, str]
     resembles: tuple[dict[str, Any], ...]
+
+    @property
+    def simulated(self) -> bool:
+        """Tells whether it acts in motors or servos, as parameters of simulators do, and not on the arm's geometry."""
+        return self.domain != "kinematic"
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""

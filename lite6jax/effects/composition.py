@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import JaxArray, jnp
 from lite6jax.effects.deflection import Deflection
 from lite6jax.effects.drivers import Driver
 from lite6jax.effects.effect import Altering, Bending, Effect, Estimate, Loading, require_kind
@@ -65,9 +65,14 @@ class Physics:
         ends = np.cumsum([0] + [effect.size for effect in self.effects]).tolist()
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
+    @cached_property
+    def pairs(self) -> tuple[tuple[Effect, slice], ...]:
+        """Each effect with the part of `values` that belongs to it."""
+        return tuple(zip(self.effects, self.slices, strict=True))
+
     @property
     def loaded(self) -> bool:
-        """Whether any effect depends on the loads of gravity."""
+        """Tells whether any effect depends on the loads of gravity."""
         return any(isinstance(e, Bending) and any(driver.loaded for driver in e.drivers) for e in self.effects)
 
     @property
@@ -114,32 +119,32 @@ class Physics:
             if driver is not None:
                 raise InputError(f"{effect.label}: needs the {driver.phrase}: give {driver.remedy}")
 
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         """The true motion, by the effects of the clock and of the payload."""
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Altering):
                 motion = effect.alter(values[part], motion)
         return motion
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+    def alter_inertia(self, values: JaxArray, inertia: Inertia) -> Inertia:
         """The true masses and gravity, by the effects of the payload and of gravity."""
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Loading):
                 inertia = effect.alter_inertia(values[part], inertia)
         return inertia
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """The sum of all deflections in a motion returned by `alter`."""
         total = Deflection()
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Bending):
                 total = total + effect.deflect(values[part], motion, loads)
         return total
 
-    def beyond(self, values: Array, motion: Motion) -> Array:
+    def beyond(self, values: JaxArray, motion: Motion) -> JaxArray:
         """`(sample,)` bool: rows whose prediction requires the motion beyond the ends of its run, by a clock offset."""
         outside = jnp.zeros(motion.samples, bool)
-        for effect, part in zip(self.effects, self.slices, strict=True):
+        for effect, part in self.pairs:
             if isinstance(effect, Altering):
                 outside = outside | effect.beyond(values[part], motion)
         return outside
@@ -153,10 +158,7 @@ class Physics:
         """
         values = np.asarray(values, float)
         C = None if covariance is None else np.asarray(covariance, float)
-        return [
-            effect.reported(values[part], None if C is None else C[part, part])
-            for effect, part in zip(self.effects, self.slices, strict=True)
-        ]
+        return [effect.reported(values[part], None if C is None else C[part, part]) for effect, part in self.pairs]
 
 
 def missing(effect: Effect, motion: Motion, loads_known: bool) -> Driver | None:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import JaxArray, jnp
 
 
 class Deflection(NamedTuple):
@@ -23,13 +23,13 @@ class Deflection(NamedTuple):
         sensor: `(6, sample)`, the twist of all that the sensor shows, about its frame's origin and in its axes.
     """
 
-    joint: Array | None = None
-    stretch: Array | None = None
-    link: Array | None = None
-    base: Array | None = None
-    tool: Array | None = None
-    scale: Array | None = None
-    sensor: Array | None = None
+    joint: JaxArray | None = None
+    stretch: JaxArray | None = None
+    link: JaxArray | None = None
+    base: JaxArray | None = None
+    tool: JaxArray | None = None
+    scale: JaxArray | None = None
+    sensor: JaxArray | None = None
 
     def __add__(self, other: "Deflection") -> "Deflection":  # type: ignore[override]  # not a tuple's concatenation
         sums = []
@@ -48,7 +48,7 @@ def dense(deflection: Deflection, dof: int, samples: int) -> Deflection:
     return Deflection(*parts)  # type: ignore[arg-type]
 
 
-def place_at_joint(dof: int, number: int, values: Array) -> Array:
+def place_at_joint(dof: int, number: int, values: JaxArray) -> JaxArray:
     """What acts at one joint, or at the link behind it, as a part of a `Deflection`: zero at the others.
 
     Args:
@@ -70,28 +70,28 @@ def place_of(site: str) -> tuple[str, int]:
     return site.rstrip("0123456789"), int("0" + "".join(filter(str.isdecimal, site)))
 
 
-def place_at_site(dof: int, site: str, values: Array) -> Deflection:
+def place_at_site(dof: int, site: str, values: JaxArray) -> Deflection:
     """What acts at `jointN` `(sample,)` rad, or as a twist `(6, sample)` of `linkN`, `base`, `tool` or `sensor`."""
     kind, number = place_of(site)
     return Deflection(**{kind: place_at_joint(dof, number, values) if number else values})
 
 
-def library_of(*values: Array | None) -> Any:
+def library_of(*values: JaxArray | None) -> Any:
     """NumPy for values on the host, where the columns of hundreds of effects are computed without compiling; else
     JAX's.
     """
-    return jnp if any(isinstance(value, Array) for value in values) else np
+    return jnp if any(isinstance(value, JaxArray) for value in values) else np
 
 
 def twist(
     samples: int,
-    x: Array | None = None,
-    y: Array | None = None,
-    z: Array | None = None,
-    rx: Array | None = None,
-    ry: Array | None = None,
-    rz: Array | None = None,
-) -> Array:
+    x: JaxArray | None = None,
+    y: JaxArray | None = None,
+    z: JaxArray | None = None,
+    rx: JaxArray | None = None,
+    ry: JaxArray | None = None,
+    rz: JaxArray | None = None,
+) -> JaxArray:
     """The twist `(6, sample)` with these components; zero where not given.
 
     Args:

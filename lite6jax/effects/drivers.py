@@ -6,7 +6,7 @@ from functools import lru_cache, partial
 from typing import Any, NamedTuple, final
 
 from lite6jax.arms.arm import joint_unit
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import JaxArray, jnp
 from lite6jax.effects.deflection import library_of
 from lite6jax.effects.motion import Motion, since_reversal
 from lite6jax.effects.statics import Loads
@@ -21,7 +21,7 @@ class _Source(NamedTuple):
     quantity is called at a prismatic joint, where it has another unit.
     """
 
-    values: Callable[[Motion, Loads | None], Array | None]
+    values: Callable[[Motion, Loads | None], JaxArray | None]
     unit: str
     place: str
     remedy: str
@@ -29,23 +29,23 @@ class _Source(NamedTuple):
     at_slide: str = ""
 
 
-def _joint_temperatures(motion: Motion, _: Loads | None) -> Array | None:
-    """Of each joint; of the whole arm where only that is known."""
+def _joint_temperatures(motion: Motion, _: Loads | None) -> JaxArray | None:
+    """Temperatures of each joint; that of the whole arm where only that is known."""
     if motion.joint_temperature_rise is None and motion.temperature_rise is not None:
         return jnp.broadcast_to(motion.temperature_rise, motion.joint_position.shape)
     return motion.joint_temperature_rise
 
 
-def _tool_moment(axis: int, _: Motion, loads: Loads | None) -> Array | None:
+def _tool_moment(axis: int, _: Motion, loads: Loads | None) -> JaxArray | None:
     if loads is None or loads.payload_moment is None:
         return None
     return loads.payload_moment[axis]
 
 
-def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | None], Array | None]:
+def _of_sight(read: Callable[[Any, JaxArray], JaxArray]) -> Callable[[Motion, Loads | None], JaxArray | None]:
     """What follows from the measured position; `read` takes NumPy or JAX's, and `(3, sample)` m."""
 
-    def values(motion: Motion, _: Loads | None) -> Array | None:
+    def values(motion: Motion, _: Loads | None) -> JaxArray | None:
         position = motion.measured_position
         if position is None:
             return None
@@ -54,7 +54,7 @@ def _of_sight(read: Callable[[Any, Array], Array]) -> Callable[[Motion, Loads | 
     return values
 
 
-def _speed(motion: Motion, _: Loads | None) -> Array | None:
+def _speed(motion: Motion, _: Loads | None) -> JaxArray | None:
     if motion.joint_velocity is None:
         return None
     return abs(motion.joint_velocity)
@@ -171,27 +171,27 @@ class Driver:
 
     @property
     def discrete(self) -> bool:
-        """Whether it is a direction of motion, which has two or three values."""
+        """Tells whether it is a direction of motion, which has two or three values."""
         return self.quantity == "direction of motion"
 
     @property
     def is_angle(self) -> bool:
-        """Whether it repeats after a turn."""
+        """Tells whether it repeats after a turn."""
         return self.quantity in ("position", "measured position's azimuth", "measured position's elevation")
 
     @property
     def is_remembered(self) -> bool:
-        """Whether what it drives may lag behind it, as hysteresis does."""
+        """Tells whether what it drives may lag behind it, as hysteresis does."""
         return self.generalised in ("position", "gravity torque", "gravity moment x", "gravity moment y")
 
     @property
     def is_order(self) -> bool:
-        """Whether it is but the order of recording, in which what nobody recorded may wander."""
+        """Tells whether it is but the order of recording, in which what nobody recorded may wander."""
         return self.quantity == "order of recording"
 
     @property
     def is_time(self) -> bool:
-        """Whether it is the time, in which what is read out may jump."""
+        """Tells whether it is the time, in which what is read out may jump."""
         return self.quantity == "time"
 
     @property
@@ -201,7 +201,7 @@ class Driver:
 
     @property
     def of_slide(self) -> bool:
-        """Whether it is a quantity of a prismatic joint alone."""
+        """Tells whether it is a quantity of a prismatic joint alone."""
         return self.quantity in _GENERALISED
 
     @property
@@ -216,14 +216,14 @@ class Driver:
 
     @property
     def loaded(self) -> bool:
-        """Whether the quantity follows from the loads of gravity."""
+        """Tells whether the quantity follows from the loads of gravity."""
         return _SOURCES[self.quantity].loaded
 
     def known(self, motion: Motion, loads: Loads | None) -> bool:
-        """Whether the motion and the loads contain the quantity."""
+        """Tells whether the motion and the loads contain the quantity."""
         return _SOURCES[self.quantity].values(motion, loads) is not None
 
-    def values(self, motion: Motion, loads: Loads | None) -> Array:
+    def values(self, motion: Motion, loads: Loads | None) -> JaxArray:
         """`(sample,)` in `unit`.
 
         Raises:

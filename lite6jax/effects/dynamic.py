@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute
+from lite6jax.array_types import Array, Mask
 from lite6jax.effects.drivers import Driver, joint_driver
 from lite6jax.effects.effect import (
     Coordinate,
@@ -29,8 +29,6 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.nonparametric import Process
 from lite6jax.effects.statics import Loads
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 DIRECTION_SPEED = 0.002
 """rad/s, the speed v over which the direction of motion changes its sign, as tanh(q̇ / v); of a prismatic joint it is
@@ -104,7 +102,7 @@ class Dynamics(NamedTuple):
 
 def direction(
     velocity: Array,
-    slides: bool | NDArray[np.bool_] = False,
+    slides: bool | Mask = False,
     transition: float = 0.0,
     change: Array | float = 0.0,
 ) -> Array:
@@ -172,7 +170,7 @@ class TorqueEffect(Effect, ABC):
         return np.stack([self.torque(unit, dynamics) for unit in np.eye(self.size)])
 
     def is_friction_of(self, joint: int) -> bool:
-        """Whether it is friction of a joint, counted from 1: figures show it over the velocity of this joint."""
+        """Tells whether it is friction of a joint, counted from 1: figures show it over the velocity of this joint."""
         return False
 
 
@@ -871,7 +869,7 @@ class JointProcess(Process, OfJoint, ABC):
 
     @property
     def coefficient(self) -> Coordinate:
-        """Of a torque."""
+        """The coordinate of a torque."""
         coordinate = Coordinate("_Nm", "Nm", 0.1, np.inf if self.spread is None else self.spread)
         return coordinate.at_slide() if self.of_slide else coordinate
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lite6jax.arms.arm import joint_size, joint_unit
-from lite6jax.deferred import Array, jnp
+from lite6jax.deferred import JaxArray, jnp
 from lite6jax.effects.deflection import Deflection, library_of, place_at_site
 from lite6jax.effects.drivers import Driver, driver_of, joint_driver, place_of
 from lite6jax.effects.motion import Motion
@@ -90,7 +90,7 @@ def final_effect(kind: Kind) -> Kind:
 
 
 def slides(effect: "Effect") -> bool:
-    """Whether an effect is one of a prismatic joint."""
+    """Tells whether an effect is one of a prismatic joint."""
     return isinstance(effect, OfJoint) and effect.of_slide
 
 
@@ -144,12 +144,12 @@ class Effect(ABC):
 
     @property
     def periodic(self) -> bool:
-        """Whether a spectrum of orders finds the chosen number, rather than a few values that are tried one by one."""
+        """Tells whether a spectrum of orders finds the chosen number, rather than a few values tried one by one."""
         return False
 
     @property
     def hysteretic(self) -> bool:
-        """Whether it depends on the samples before, and not on the present motion alone."""
+        """Tells whether it depends on the samples before, and not on the present motion alone."""
         return False
 
     @property
@@ -195,12 +195,12 @@ class Effect(ABC):
     @final
     @cached_property
     def linear(self) -> bool:
-        """Whether what it adds is proportional to its numbers; columns are then computed once."""
+        """Tells whether what it adds is proportional to its numbers; columns are then computed once."""
         return not isinstance(self, Altering) and all(coordinate.linear for coordinate in self.coordinates)
 
     @property
     def usual(self) -> bool:
-        """Whether nearly every arm has it as it is: its choice costs ln 2."""
+        """Tells whether nearly every arm has it as it is: its choice costs ln 2."""
         return self.common and self.chosen is None
 
     @property
@@ -323,7 +323,7 @@ class Bending(Effect, ABC):
     """An effect that deflects the arm."""
 
     @abstractmethod
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """The deflection by `values` `(coordinate,)` in a motion."""
 
 
@@ -331,11 +331,11 @@ class FrameEffect(Bending, ABC):
     """An effect that displaces the frame at its site."""
 
     @abstractmethod
-    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def displace(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         """`(6, sample)`, the frame's twist."""
 
     @final
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """The twist at its site."""
         return place_at_site(motion.dof, self.site, self.displace(values, motion, loads))
 
@@ -344,27 +344,27 @@ class Altering(Effect, ABC):
     """An effect by which the arm's motion is another than the one declared, before loads and deflections follow."""
 
     @abstractmethod
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         """The motion as it really was."""
 
     @abstractmethod
-    def beyond(self, values: Array, motion: Motion) -> Array:
+    def beyond(self, values: JaxArray, motion: Motion) -> JaxArray:
         """`(sample,)` bool: where that takes what the motion does not hold, so that the prediction means nothing."""
 
 
 class Loading(Altering, ABC):
     """An effect by which other loads act on the arm than those declared. It shows through compliances alone."""
 
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         """The motion as it is: most such effects are of masses or of gravity."""
         return motion
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+    def alter_inertia(self, values: JaxArray, inertia: Inertia) -> Inertia:
         """The masses and gravity as they really were; as declared where the motion alone is another."""
         return inertia
 
     @final
-    def beyond(self, values: Array, motion: Motion) -> Array:
+    def beyond(self, values: JaxArray, motion: Motion) -> JaxArray:
         """No row needs what the motion does not hold."""
         return jnp.zeros(motion.samples, bool)
 
@@ -398,7 +398,7 @@ class OfJoint(Effect, ABC):
 
     @property
     def follows_own_motion(self) -> bool:
-        """Whether it depends on the motion of its own joint alone."""
+        """Tells whether it depends on the motion of its own joint alone."""
         motions = {self.own_driver(quantity) for quantity in ("velocity", "speed", "direction of motion")}
         return set(self.drivers) <= motions
 
@@ -408,11 +408,11 @@ class JointEffect(OfJoint, Bending, ABC):
     """An effect that adds to one joint's position."""
 
     @abstractmethod
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         """`(sample,)` rad, m of a prismatic joint, that add to what the encoder says."""
 
     @final
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """What adds at its joint."""
         return place_at_site(motion.dof, self.site, self.angle(values, motion, loads))
 
@@ -475,7 +475,7 @@ class Wave(OfJoint, ABC):
         return values[-1] if self.order is None else self.order
 
     @final
-    def of_position(self, values: Array, position: Array) -> Array:
+    def of_position(self, values: JaxArray, position: JaxArray) -> JaxArray:
         """`(sample,)`, by `values` `(coordinate,)` at positions of the joint."""
         turned = self.order_in(values) * wave_angle(position, self.of_slide)
         xp = library_of(turned)

@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lite6jax.deferred import Array, jit, jnp, lax
+from lite6jax.deferred import JaxArray, jit, jnp, lax
 from lite6jax.effects.deflection import library_of
 from lite6jax.effects.drivers import Driver
 from lite6jax.errors import InputError
@@ -116,7 +116,7 @@ class Kernel(ABC):
         return self if self.joins else None
 
     @abstractmethod
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         """The functions φ `(feature, sample)`. Of NumPy values on the host.
 
         Args:
@@ -130,7 +130,7 @@ class Kernel(ABC):
         """How many features it has."""
         return self.count
 
-    def unknown(self, values: Array, bounds: Floats) -> Array:
+    def unknown(self, values: JaxArray, bounds: Floats) -> JaxArray:
         """The variance `(sample,)` of the process, for coefficients of unit variance, that its features do not have.
 
         Within the bounds it is zero. Of NumPy values on the host; arguments as of `features`.
@@ -157,11 +157,11 @@ class Kernel(ABC):
         return np.zeros(0)
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
-        """Whether it may be a kernel of a driver, which may be `discrete`: of few values."""
+        """Tells whether it may be a kernel of a driver, which may be `discrete`: of few values."""
         return not driver.is_order and not discrete
 
     def hides(self, other: "Kernel") -> bool:
-        """Whether another process at its site cannot be told apart from it, so that it is not added beside that one."""
+        """Tells whether another process at its site cannot be told apart from it, so that it is not added beside it."""
         return not other.apart and not other.of_gear
 
     def fault(self, bounds: Floats, rolloff: Floats) -> str:
@@ -186,7 +186,7 @@ class _Line(Kernel):
         centres = _centres(0)
         return np.stack([np.ones_like(centres), centres], 1)  # splines with these coefficients add up to the line
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         scaled = _scaled(values[0], bounds)
         return library_of(values).stack([library_of(values).ones_like(scaled), scaled])
 
@@ -234,7 +234,7 @@ class _Curve(Kernel):
         rank = self.rank + 1
         return covariance @ grid.T @ U[:, :rank] / S[:rank]
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         xp = library_of(values)
         u = xp.clip((_scaled(values[0], bounds) + 1) * (PIECES / 2) + _OUTER, 0.0, PIECES + 2.0 * _OUTER)
         first = xp.clip(xp.floor(u), 0, PIECES + 2 * _OUTER - 1).astype(int)
@@ -248,13 +248,13 @@ class _Curve(Kernel):
         return self.rank + 1
 
 
-def _scaled(values: Array, bounds: Floats) -> Array:
+def _scaled(values: JaxArray, bounds: Floats) -> JaxArray:
     lower, upper = bounds
     return 2 * (values - lower) / (upper - lower) - 1
 
 
 def _centres(outer: int) -> NDArray:
-    """Of the splines on the range, and on so many intervals to each side of it."""
+    """Centres of the splines on the range, and on so many intervals to each side of it."""
     return np.arange(-outer - 1, PIECES + outer + 2) * (2 / PIECES) - 1
 
 
@@ -262,7 +262,7 @@ def _squared_exponential(length: float, variance: float = 1.0) -> Callable[[NDAr
     return lambda d: variance * np.exp(-0.5 * (d / length) ** 2)
 
 
-def spline_basis(values: Array, lower: float, upper: float, pieces: int = PIECES) -> Array:
+def spline_basis(values: JaxArray, lower: float, upper: float, pieces: int = PIECES) -> JaxArray:
     """The cubic B-splines on `pieces` equal intervals from `lower` to `upper`, `(pieces + 3, sample)`.
 
     They add up to 1; before `lower` and beyond `upper` they keep their values there. Of NumPy values on the host.
@@ -282,7 +282,7 @@ class _Waves(Kernel):
     count = 1 + 2 * len(_WAVES)
     joins = True
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         xp = library_of(values)
         turned = _WAVES[:, None] * values[0]
         over = _WAVES[:, None]
@@ -298,7 +298,7 @@ class _Sine(Kernel):
     count = 2
     any_order = True
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         xp = library_of(values)
         (order,) = rolloff or (1.0,)
         return xp.stack([xp.sin(order * values[0]), xp.cos(order * values[0])])
@@ -313,11 +313,11 @@ class _Orders(Kernel):
     varies_fast = True
     takes_driver = False
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         return self.waves(values[0], bounds, rolloff) * self.deviations(bounds, rolloff)[:, None]
 
     @abstractmethod
-    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+    def waves(self, values: JaxArray, bounds: Floats, rolloff: Floats) -> JaxArray:
         """The same of unit variance."""
 
     def suits(self, driver: Driver, discrete: bool) -> bool:
@@ -334,7 +334,7 @@ class _Spectrum(_Orders):
     grid = tuple(product((3.0, 8.0, 20.0), (2.0, 4.0)))
     of_gear = True
 
-    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+    def waves(self, values: JaxArray, bounds: Floats, rolloff: Floats) -> JaxArray:
         xp = library_of(values)
         turned = self.orders(bounds)[:, None] * values
         return xp.stack([xp.sin(turned), xp.cos(turned)], 1).reshape(2 * len(turned), -1)
@@ -343,7 +343,7 @@ class _Spectrum(_Orders):
         return 2 * len(self.orders(bounds))
 
     def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
-        """Of sine and cosine of each order: 1 at low ones; 1 of all without a corner."""
+        """Deviations of sine and cosine of each order: 1 at low ones; 1 of all without a corner."""
         orders = self.orders(bounds)
         corner, slope = rolloff or (1.0, 0.0)
         return np.repeat((1 + (orders / corner) ** slope) ** -0.5 if rolloff else np.ones_like(orders), 2)
@@ -368,7 +368,7 @@ class _Repeat(_Orders):
     any_order = True
     apart = True
 
-    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+    def waves(self, values: JaxArray, bounds: Floats, rolloff: Floats) -> JaxArray:
         xp = library_of(values)
         turned = self.orders(bounds, rolloff)[:, None] * values
         return xp.concatenate([xp.sin(turned), xp.cos(turned)])
@@ -400,13 +400,13 @@ class _Wander(_Orders):
     undriven = True
     apart = True
 
-    def waves(self, values: Array, bounds: Floats, rolloff: Floats) -> Array:
+    def waves(self, values: JaxArray, bounds: Floats, rolloff: Floats) -> JaxArray:
         xp = library_of(values)
         place = (values - bounds[0]) / (bounds[1] - bounds[0])
         waves = xp.cos(np.pi * np.arange(self.size(bounds, rolloff))[:, None] * place)
         return xp.where((place >= 0) & (place <= 1), waves, 0.0)
 
-    def unknown(self, values: Array, bounds: Floats) -> Array:
+    def unknown(self, values: JaxArray, bounds: Floats) -> JaxArray:
         xp = library_of(values)
         return xp.where((values[0] >= bounds[0]) & (values[0] <= bounds[1]), 0.0, 1.0)
 
@@ -414,7 +414,7 @@ class _Wander(_Orders):
         return 1 + (min(int(np.ceil(_CORNERS * rolloff[0])), _FASTEST) if rolloff else _FASTEST)
 
     def deviations(self, bounds: Floats, rolloff: Floats) -> NDArray:
-        """Of each order; 1 of all without a corner."""
+        """Deviations of each order; 1 of all without a corner."""
         orders = np.arange(self.size(bounds, rolloff))
         if not rolloff:
             return np.ones(len(orders))
@@ -442,7 +442,7 @@ class _Jump(Kernel):
     numbers = ("value",)
     any_sample = True
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         xp = library_of(values)
         (at,) = rolloff or (0.5 * (bounds[0] + bounds[1]),)
         return xp.concatenate([xp.ones_like(values), xp.where(values >= at, 1.0, 0.0)])
@@ -460,7 +460,7 @@ class _Plays(Kernel):
     count = len(_PLAYS) + 2
     hysteretic = True
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         xp = library_of(values)
         half = 0.5 * (bounds[1] - bounds[0])
         count = values.shape[-1]
@@ -479,7 +479,7 @@ class _Plays(Kernel):
 
 
 @jit
-def plays(values: Array, widths: Array, run: Array) -> Array:
+def plays(values: JaxArray, widths: JaxArray, run: JaxArray) -> JaxArray:
     """What follows a driver with play, `(width, sample)`: pushed along, and left behind by `width` at most.
 
     Sums of such plays are all hysteresis whose loops close and do not depend on speed (I. Mayergoyz, Mathematical
@@ -491,7 +491,7 @@ def plays(values: Array, widths: Array, run: Array) -> Array:
         run: `(2, sample)`, the first and the last sample of the run of each.
     """
 
-    def pushed(follower: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+    def pushed(follower: JaxArray, now: tuple[JaxArray, JaxArray]) -> tuple[JaxArray, JaxArray]:
         value, begins = now
         follower = jnp.clip(jnp.where(begins, 0.0, follower), value - widths, value + widths)
         return follower, follower
@@ -514,7 +514,7 @@ class _Product(Kernel):
     def factors(self) -> tuple[Kernel, ...]:
         return self.both
 
-    def features(self, values: Array, bounds: Floats, run: Array | None = None, rolloff: Floats = ()) -> Array:
+    def features(self, values: JaxArray, bounds: Floats, run: JaxArray | None = None, rolloff: Floats = ()) -> JaxArray:
         first, second = (
             factor.features(values[k : k + 1], bounds[2 * k : 2 * k + 2], run, rolloff)
             for k, factor in enumerate(self.both)
@@ -627,6 +627,6 @@ def memory_of(rolloff: Floats) -> float:
 
 
 def is_kernel(name: str, drivers: int) -> bool:
-    """Whether a kernel of so many drivers has this name."""
+    """Tells whether a kernel of so many drivers has this name."""
     kernel = _kernel(name)
     return kernel is not None and kernel.drivers == drivers

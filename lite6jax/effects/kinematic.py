@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from lite6jax.arms.se3 import rotation_exp
-from lite6jax.deferred import Array, jnp, lax
+from lite6jax.deferred import JaxArray, jnp, lax
 from lite6jax.effects import motion as motions
 from lite6jax.effects.deflection import Deflection, library_of, place_at_joint, twist
 from lite6jax.effects.drivers import Driver, joint_driver
@@ -47,7 +47,7 @@ WARM_UP = (1.0, 1e6)
 class _Proportional(JointEffect, ABC):
     """δq = k·driver."""
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         return values[0] * self.drivers[0].values(motion, loads)
 
 
@@ -60,7 +60,7 @@ class JointOffset(JointEffect):
     # more is another way to count the angle
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("offset_rad", "rad", 1e-4, 0.5),)
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         return library_of(values).broadcast_to(values[0], (motion.samples,))
 
 
@@ -113,7 +113,7 @@ class JointHarmonic(Wave, JointEffect):
         """The order, unless it is one of the two that are candidates of their own."""
         return None if self.order in (1.0, 2.0) else self.order
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         return self.of_position(values, self.drivers[0].values(motion, loads))
 
 
@@ -127,7 +127,7 @@ class JointLag(JointEffect):
     # with more the servo of such an arm would not be stable
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("lag_s", "s", 1e-3, 0.2),)
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         return -values[0] * self.drivers[0].values(motion, loads)
 
 
@@ -192,7 +192,7 @@ class JointWarmUp(JointEffect):
         Coordinate("time_constant_s", "s", 1e3, lower=WARM_UP[0], upper=WARM_UP[1], linear=False),
     )
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         # at neutral τ is zero as well: any positive one then gives no angle, and no division by zero
         xp = library_of(values, motion.time)
         time = self.drivers[0].values(motion, loads)
@@ -246,7 +246,7 @@ class JointBacklash(JointEffect):
         """With the friction as its last number."""
         return _FreeBacklash(self.joint, of_slide=self.of_slide)
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         first, *direction = [driver.values(motion, loads) for driver in self.drivers]
         if self.friction_torque_Nm is None:
             pressing = -first
@@ -264,7 +264,7 @@ class _FreeBacklash(JointEffect):
     quantities: ClassVar[tuple[str, ...]] = ("gravity torque", "direction of motion")
     numbers: ClassVar[tuple[Coordinate, ...]] = (_GAP, _FRICTION)
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         torque, direction = (driver.values(motion, loads) for driver in self.drivers)
         pressed = torque - jnp.maximum(values[1], 0.0) * direction
         ramp = jnp.clip(pressed / (_TRANSITION * jnp.maximum(jnp.max(jnp.abs(torque)), 1e-300)), -1.0, 1.0)
@@ -299,7 +299,7 @@ class JointWindup(JointEffect):
     def hysteretic(self) -> bool:
         return True
 
-    def angle(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def angle(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         torque = self.drivers[0].values(motion, loads)
         xp = library_of(values, torque)
         friction = xp.maximum(values[1], 0.0) if self.friction_torque_Nm is None else self.friction_torque_Nm
@@ -320,7 +320,7 @@ _FRAME = {"m": 0.1, "rad": 0.3}
 class _Tilting(FrameEffect, ABC):
     """A frame that rotates about its x and y axes by a compliance times the moment about each."""
 
-    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def displace(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
         return twist(motion.samples, rx=values[0] * about_x, ry=values[1] * about_y)
 
@@ -364,7 +364,7 @@ class LinkThermalExpansion(Bending):
     def site(self) -> str:
         return "links" if self.link is None else f"link{self.link}"
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         growth = values[0] * self.drivers[0].values(motion, loads)
         if self.link is None:
             return Deflection(stretch=library_of(growth).broadcast_to(growth, (motion.dof, motion.samples)))
@@ -393,7 +393,7 @@ class FrameOffset(FrameEffect):
     def site(self) -> str:
         return "base" if self.link is None else f"link{self.link}"
 
-    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def displace(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         return library_of(values).broadcast_to(values[:, None], (6, motion.samples))
 
 
@@ -423,7 +423,7 @@ class AxisWobble(Bending):
         for wave in ("cosine", "sine")
     )
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         q = self.drivers[0].values(motion, loads)
         xp = library_of(q)
         cosine = xp.cos(q)
@@ -471,7 +471,7 @@ class BaseCompliance(FrameEffect):
         # a mount that gives way sideways by a centimetre under 10 Nm
         return (*tilts, *(symmetric(f"shift_{of}_m_per_Nm", "m/Nm", 1e-6, 1e-3) for of in shifts))
 
-    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def displace(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         about_x, about_y = (driver.values(motion, loads) for driver in self.drivers)
         rx = values[0] * about_x
         ry = values[1] * about_y
@@ -496,7 +496,7 @@ class _Drifting(FrameEffect, ABC):
 
     quantities: ClassVar[tuple[str, ...]] = ("time",)
 
-    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def displace(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         time = self.drivers[0].values(motion, loads)
         return twist(motion.samples, *(velocity * time for velocity in values))
 
@@ -546,7 +546,7 @@ class ToolOffset(FrameEffect):
         largest = {"m": 1.0, "rad": 3.2}  # any rotation
         return tuple(symmetric(name, unit, 1e-3, largest[unit]) for name, unit in _TWIST[: 6 if self.turned else 3])
 
-    def displace(self, values: Array, motion: Motion, loads: Loads | None) -> Array:
+    def displace(self, values: JaxArray, motion: Motion, loads: Loads | None) -> JaxArray:
         return twist(motion.samples, *values)
 
 
@@ -578,7 +578,7 @@ class MeasurementScale(Bending):
     at: ClassVar[str] = "sensor"
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("scale", "1", 1e-4, _RATIO),)
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         return Deflection(scale=library_of(values).broadcast_to(values[0], (motion.samples,)))
 
 
@@ -596,10 +596,10 @@ class TimeOffset(Altering):
     # more is another recording
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("offset_s", "s", 1e-2, 60.0),)
 
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         return motions.shifted(motion, values[0])
 
-    def beyond(self, values: Array, motion: Motion) -> Array:
+    def beyond(self, values: JaxArray, motion: Motion) -> JaxArray:
         return motions.beyond(motion, values[0])
 
 
@@ -614,7 +614,7 @@ class PayloadError(Loading):
     # more than arms of this size carry
     numbers: ClassVar[tuple[Coordinate, ...]] = (symmetric("mass_kg", "kg", 0.1, 10.0),)
 
-    def alter(self, values: Array, motion: Motion) -> Motion:
+    def alter(self, values: JaxArray, motion: Motion) -> Motion:
         return motion._replace(payload=motion.payload + values[0])
 
 
@@ -628,7 +628,7 @@ class PayloadCom(Loading):
     quantities: ClassVar[tuple[str, ...]] = ("payload", "base moment x")
     numbers: ClassVar[tuple[Coordinate, ...]] = tuple(symmetric(f"{axis}_m", "m", 0.01, 0.5) for axis in "xyz")
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+    def alter_inertia(self, values: JaxArray, inertia: Inertia) -> Inertia:
         return inertia._replace(payload_center=inertia.payload_center + values)
 
 
@@ -647,7 +647,7 @@ class GravityDirection(Loading):
     # more is another way to mount the arm
     numbers: ClassVar[tuple[Coordinate, ...]] = tuple(symmetric(f"tilt_{axis}_rad", "rad", 0.01, 0.2) for axis in "xy")
 
-    def alter_inertia(self, values: Array, inertia: Inertia) -> Inertia:
+    def alter_inertia(self, values: JaxArray, inertia: Inertia) -> Inertia:
         if isinstance(values, np.ndarray):  # on the host nothing is compiled, in the course of hundreds of fits
             from scipy.spatial.transform import Rotation  # takes longer than a list of effects
 

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import joint_sizes
 from lite6jax.arms.chains import SixParameterForm
-from lite6jax.deferred import Array, jax, jit, jnp, lax, register_static
+from lite6jax.array_types import Mask
+from lite6jax.deferred import JaxArray, jax, jit, jnp, lax, register_static
 from lite6jax.errors import InputError
 
 _HALF_WINDOW = 0.05
@@ -32,7 +33,7 @@ class Sliding:
 
     joints: tuple[int, ...] = ()
 
-    def mask(self, dof: int) -> NDArray[np.bool_]:
+    def mask(self, dof: int) -> Mask:
         """`(joint,)`, true for prismatic joints."""
         return np.isin(np.arange(dof), self.joints)
 
@@ -59,19 +60,19 @@ class Motion(NamedTuple):
         command_velocity: `(joint, sample)` rad/s, at which the commands of a log change.
     """
 
-    joint_position: Array
-    joint_velocity: Array | None
-    direction: Array | None
-    time: Array | None
-    run: Array
-    temperature_rise: Array | None
-    payload: Array
-    joint_acceleration: Array | None = None
-    joint_temperature_rise: Array | None = None
-    measured_position: Array | None = None
+    joint_position: JaxArray
+    joint_velocity: JaxArray | None
+    direction: JaxArray | None
+    time: JaxArray | None
+    run: JaxArray
+    temperature_rise: JaxArray | None
+    payload: JaxArray
+    joint_acceleration: JaxArray | None = None
+    joint_temperature_rise: JaxArray | None = None
+    measured_position: JaxArray | None = None
     sliding: Sliding = Sliding()
-    sequence: Array | None = None
-    command_velocity: Array | None = None
+    sequence: JaxArray | None = None
+    command_velocity: JaxArray | None = None
 
     @property
     def dof(self) -> int:
@@ -157,7 +158,7 @@ def motion_of(
         temperature = np.repeat(ambient[:, None], q.shape[1], 1)
     rise = None if temperature is None else temperature - reference_temperature
 
-    def stored(array: np.ndarray | None) -> Array | None:
+    def stored(array: np.ndarray | None) -> JaxArray | None:
         if array is None:
             return None
         return jnp.asarray(np.ascontiguousarray(array.T))
@@ -196,7 +197,7 @@ def in_another_recording(motion: Motion) -> Motion:
 
 
 @jit
-def shifted(motion: Motion, offset: Array | float) -> Motion:
+def shifted(motion: Motion, offset: JaxArray | float) -> Motion:
     """The motion at `time + offset`, with the time stamps `time`.
 
     Positions follow the cubic Hermite interpolant of the two samples around the instant and their velocities;
@@ -213,7 +214,7 @@ def shifted(motion: Motion, offset: Array | float) -> Motion:
     before, u, step = _interval(motion, offset)
     after = jnp.minimum(before + 1, motion.run[1])
 
-    def at(array: Array, index: Array) -> Array:
+    def at(array: JaxArray, index: JaxArray) -> JaxArray:
         return array.at[..., index].get(mode="promise_in_bounds")
 
     start = at(motion.joint_position, before)
@@ -268,7 +269,7 @@ def accelerated(motion: Motion) -> Motion:
     return motion._replace(joint_acceleration=jnp.asarray(acceleration))
 
 
-def beyond(motion: Motion, offset: Array | float) -> Array:
+def beyond(motion: Motion, offset: JaxArray | float) -> JaxArray:
     """`(sample,)` bool: `time + offset` lies more than one sample's step outside the run of the sample."""
     assert motion.time is not None
     first, last = motion.run
@@ -283,7 +284,7 @@ def beyond(motion: Motion, offset: Array | float) -> Array:
     return early | late
 
 
-def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Array]:
+def _interval(motion: Motion, offset: JaxArray | float) -> tuple[JaxArray, JaxArray, JaxArray]:
     """The interval of samples that contains `time + offset`.
 
     Returns:
@@ -295,7 +296,7 @@ def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Arra
     first, last = motion.run
     instant = lax.stop_gradient(t + offset)
 
-    def halve(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: JaxArray, ends: tuple[JaxArray, JaxArray]) -> tuple[JaxArray, JaxArray]:
         low, high = ends
         middle = (low + high + 1) // 2
         reached = t.at[middle].get(mode="promise_in_bounds") <= instant
@@ -310,14 +311,16 @@ def _interval(motion: Motion, offset: Array | float) -> tuple[Array, Array, Arra
 
 
 @jit
-def since_reversal(motion: Motion) -> Array:
+def since_reversal(motion: Motion) -> JaxArray:
     """How far each joint is from where it last reversed, or from where its run begins, `(joint, sample)` rad or m.
 
     A way back of less than `_LEAST_REVERSAL` rad, or what that is of a prismatic joint, is none: encoders jitter.
     """
     smallest_reversal = joint_sizes(_LEAST_REVERSAL, "rad", motion.sliding.mask(motion.dof))
 
-    def moved(state: tuple[Array, Array, Array], now: tuple[Array, Array]) -> tuple[tuple[Array, Array, Array], Array]:
+    def moved(
+        state: tuple[JaxArray, JaxArray, JaxArray], now: tuple[JaxArray, JaxArray]
+    ) -> tuple[tuple[JaxArray, JaxArray, JaxArray], JaxArray]:
         turned_at, farthest, sense = state
         q, begins = now
         turned_at = jnp.where(begins, q, turned_at)

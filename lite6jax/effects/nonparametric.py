@@ -6,9 +6,9 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lite6jax.deferred import Array, jnp
+from lite6jax.array_types import Array
+from lite6jax.deferred import JaxArray, jnp
 from lite6jax.effects import kernels
 from lite6jax.effects.deflection import Deflection, library_of, place_at_site, twist
 from lite6jax.effects.drivers import Driver, driver_of
@@ -124,19 +124,19 @@ class Process(Effect, ABC):
 
     @property
     def hysteretic(self) -> bool:
-        """Whether it depends on the way to a value of its driver."""
+        """Tells whether it depends on the way to a value of its driver."""
         return self.covariance.hysteretic
 
-    def values_at(self, motion: Motion, loads: Loads | None) -> Array:
+    def values_at(self, motion: Motion, loads: Loads | None) -> JaxArray:
         """The values of the drivers, `(driver, sample)`."""
         values = [driver.values(motion, loads) for driver in self.drivers]
         return library_of(values[0]).stack(values)
 
-    def functions_at(self, values: Array, run: Array | None = None) -> Array:
+    def functions_at(self, values: JaxArray, run: JaxArray | None = None) -> JaxArray:
         """The functions `(function, sample)` at values `(driver, sample)` of the drivers; `run` as of a `Motion`."""
         return self.covariance.features(values, self.bounds, run, self.rolloff)
 
-    def unknown_at(self, values: Array) -> Array:
+    def unknown_at(self, values: JaxArray) -> JaxArray:
         """The variance `(sample,)` of what the coefficients do not say of the process: beyond its range.
 
         None of a process without a prior, of which nothing is known there.
@@ -186,7 +186,7 @@ class Unnamed(Process, Bending):
 
     @property
     def unit(self) -> str:
-        """Of what it adds."""
+        """The unit of what it adds."""
         return _MEASURES.get(self.component, ("rad", ""))[0]
 
     @property
@@ -194,22 +194,22 @@ class Unnamed(Process, Bending):
         unit, end = _MEASURES.get(self.component, ("rad", "_rad"))
         return Coordinate(end, unit, 1e-4, np.inf if self.spread is None else float(self.spread), -_MOST, _MOST)
 
-    def units(self, functions: NDArray[np.floating], motion: Motion) -> Deflection:
+    def units(self, functions: Array, motion: Motion) -> Deflection:
         """The deflection by each coefficient, per unit of it; a leading axis `(coefficient, …)`."""
         parts = zip(*(self._at_site(function, motion) for function in functions), strict=True)  # type: ignore[arg-type]
         return Deflection(*(None if part[0] is None else np.stack(part) for part in parts))  # type: ignore[arg-type]
 
-    def deflect(self, values: Array, motion: Motion, loads: Loads | None) -> Deflection:
+    def deflect(self, values: JaxArray, motion: Motion, loads: Loads | None) -> Deflection:
         """The process at its site."""
         return self.by_functions(
             jnp.asarray(values), self.functions_at(self.values_at(motion, loads), motion.run), motion
         )
 
-    def by_functions(self, values: Array, functions: Array, motion: Motion) -> Deflection:
+    def by_functions(self, values: JaxArray, functions: JaxArray, motion: Motion) -> Deflection:
         """The process at its site, from its functions `(function, sample)`."""
         return self._at_site(values @ functions, motion)
 
-    def _at_site(self, moved: Array, motion: Motion) -> Deflection:
+    def _at_site(self, moved: JaxArray, motion: Motion) -> Deflection:
         """What adds `(sample,)`, where this effect is."""
         if self.component == SCALE:
             return Deflection(scale=library_of(moved).broadcast_to(moved, (motion.samples,)))

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.effects.effect import Coordinate, Effect, OfJoint, SimulatorParameters, final_effect, symmetric
-
-Array = NDArray[np.floating]
 
 UNLIMITED = 1e9
 """rad/s or Nm, a limit that is never reached."""

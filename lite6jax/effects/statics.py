@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from lite6jax.arms.chains import Form, HayatiForm, link_frames
 from lite6jax.arms.se3 import Turn, base_frame, cross
-from lite6jax.deferred import Array, jnp, lax
+from lite6jax.deferred import JaxArray, jnp, lax
 from lite6jax.effects.motion import Sliding
 from lite6jax.errors import InputError
 
@@ -27,10 +27,10 @@ class Inertia(NamedTuple):
         gravity: `(3,)` m/s² in the base frame.
     """
 
-    mass: Array
-    center_of_mass: Array
-    payload_center: Array
-    gravity: Array
+    mass: JaxArray
+    center_of_mass: JaxArray
+    payload_center: JaxArray
+    gravity: JaxArray
 
 
 class Loads(NamedTuple):
@@ -47,13 +47,13 @@ class Loads(NamedTuple):
         effort: `(joint, sample)`, `torque` where a joint is prismatic; None where none is.
     """
 
-    moment: Array
-    base_moment: Array
-    payload_moment: Array | None = None
-    effort: Array | None = None
+    moment: JaxArray
+    base_moment: JaxArray
+    payload_moment: JaxArray | None = None
+    effort: JaxArray | None = None
 
     @property
-    def torque(self) -> Array:
+    def torque(self) -> JaxArray:
         """`(joint, sample)` N·m about the +z axis of each joint, N along it of a prismatic one; the motor exerts the
         opposite."""
         return self.moment[:, 2] if self.effort is None else self.effort
@@ -110,12 +110,12 @@ def with_mass_errors(inertia: Inertia, errors: ArrayLike, payload: float = 0.0) 
 
 def loads(
     form: Form,
-    kinematics: Array,
+    kinematics: JaxArray,
     joint: Turn,
-    payload: Array,
+    payload: JaxArray,
     inertia: Inertia,
-    velocity: Array | None = None,
-    acceleration: Array | None = None,
+    velocity: JaxArray | None = None,
+    acceleration: JaxArray | None = None,
 ) -> Loads:
     """The loads on a rigid chain, for use inside a jitted function.
 
@@ -154,7 +154,7 @@ def loads(
     frames = link_frames(form, kinematics, joint, base_frame(jnp.eye(4), samples))
     x, y, z, origin = (jnp.moveaxis(part, 1, 0) for part in frames)  # (3, joint, sample)
 
-    def arm_to(center: Array, last: slice) -> Array:
+    def arm_to(center: JaxArray, last: slice) -> JaxArray:
         a, b, c = jnp.moveaxis(center, -1, 0)[..., None]
         return a * x[:, last] + b * y[:, last] + c * z[:, last]
 
@@ -182,12 +182,12 @@ def loads(
 
 def _specific_force(
     form: Form,
-    axis: Array,
-    origin: Array,
-    velocity: Array | None,
-    acceleration: Array | None,
-    gravity: Array,
-) -> Callable[[Array, slice], Array]:
+    axis: JaxArray,
+    origin: JaxArray,
+    velocity: JaxArray | None,
+    acceleration: JaxArray | None,
+    gravity: JaxArray,
+) -> Callable[[JaxArray, slice], JaxArray]:
     """The specific force g − a at points of the links, as a function.
 
     The function takes the vectors `(3, joint, sample)` m from the origins of some frames to points fixed in them, and
@@ -212,7 +212,7 @@ def _specific_force(
     omega = outwards(rates)
     alpha = outwards(axis * acceleration + cross(omega, rates))  # a joint's own rotation leaves its axis unchanged
 
-    def relative(arm: Array, at: slice) -> Array:
+    def relative(arm: JaxArray, at: slice) -> JaxArray:
         return cross(alpha[:, at], arm) + cross(omega[:, at], cross(omega[:, at], arm))
 
     steps = relative(jnp.diff(origin, axis=1), slice(-1))

@@ -6,12 +6,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.dynamics import link_parameters
+from lite6jax.array_types import Array
 from lite6jax.controller import protocol
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.predict import DiagnosedServos
@@ -28,8 +29,6 @@ from lite6jax.effects.motion import Motion
 from lite6jax.effects.statics import STANDARD_GRAVITY, Inertia, inertia_of
 from lite6jax.errors import InputError
 from lite6jax.model import ArmModel, predict_poses
-
-Array = NDArray[np.floating]
 
 TYPES = {"lite6": 9, "lite6_ros": 9, "uf850": 12}
 """The vendor's numbers of the bundled models that are no xArms."""
@@ -210,9 +209,10 @@ class EmulatedArm:
     @cached_property
     def _motor_effects(self) -> list[tuple[TorqueEffect, Array]]:
         """The effects on torques, and those on poses and on following of which the motors see the cause as well."""
-        placed_effects = zip(self.physics.effects, self.physics.slices, strict=True)
         shared = (
-            (_CAUSES_OF_BOTH[e.name](), self.values[part]) for e, part in placed_effects if e.name in _CAUSES_OF_BOTH
+            (_CAUSES_OF_BOTH[effect.name](), self.values[part])
+            for effect, part in self.physics.pairs
+            if effect.name in _CAUSES_OF_BOTH
         )
         followed = ((effect, values) for effect, values in self.followed if isinstance(effect, TorqueEffect))
         return [*self.torque_effects, *shared, *followed]
@@ -222,9 +222,8 @@ class EmulatedArm:
         """The effects on how the arm follows its commands, each with its values."""
         if self.servos is None:
             return []
-        terms = self.servos.terms
-        placed_terms = zip(terms.terms, terms.slices, strict=True)
-        return [(term, self.servos.values[part]) for term, part in placed_terms if isinstance(term, Effect)]
+        servos = self.servos
+        return [(term, servos.values[part]) for term, part in servos.terms.pairs if isinstance(term, Effect)]
 
     @property
     def torque_offset(self) -> Array:

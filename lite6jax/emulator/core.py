@@ -25,9 +25,10 @@ from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.entries import suggestion
+from lite6jax.array_types import Array
 from lite6jax.controller import protocol
 from lite6jax.controller.protocol import Message, Register, Status
 from lite6jax.emulator.body import SPACING_S, EmulatedArm, Load, Sample
@@ -81,11 +82,11 @@ class Faults:
 
     @property
     def calibrated(self) -> bool:
-        """Whether the controller provides a calibration."""
+        """Tells whether the controller provides a calibration."""
         return not self.invalid and self.firmware >= (2, 3, 0)
 
     def answers(self, register: int) -> bool:
-        """Whether a request to this register has a reply."""
+        """Tells whether a request to this register has a reply."""
         return not self.silent & {ALL, register} and (register != 8 or self.firmware != (1, 12, 1))
 
 
@@ -157,8 +158,6 @@ def _parse_value(name: str, text: str, lowest: int, highest: int) -> Any:
 # ------------------------------------------------------------------ the controller
 
 
-Array = NDArray[np.floating]
-
 LAG_S: Final = 0.008
 """s, the delay of the joints relative to their commands: two periods of the control loop."""
 DIFFERENCE_S: Final = 1e-3
@@ -224,7 +223,7 @@ class Core:
 
     @property
     def state(self) -> ControllerState:
-        """Whether the arm moves, has moved, or neither did nor can."""
+        """The state: the arm moves, has moved, or neither did nor can."""
         if self.path is None or self.stopped < np.inf:
             return ControllerState.STOPPED
         if self.time < self.path.duration:

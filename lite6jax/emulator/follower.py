@@ -8,15 +8,13 @@ from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers
 from lite6jax.domains.tracking.coupling import loads_along, roll_coupled
 from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.domains.tracking.rollout import Rolled, hold_commands, read_out
 from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
-
-Array = NDArray[np.floating]
 
 PERIOD_S = 0.004
 """s, for which a command holds: commands are sent as often as they are reported."""
@@ -103,7 +101,7 @@ class ServoedJoints:
             self._motion = self._motion.rows(slice((end - self._begin) * _STEPS))
             self._end = end
 
-    def _find(self, time: Array) -> tuple[NDArray[np.integer], Array]:
+    def _find(self, time: Array) -> tuple[Integers, Array]:
         """The steps `(sample,)` before times in s, and the shares `(sample, 1)` of the step from there."""
         while np.max(time) >= (self._end - 1) * PERIOD_S:
             self._extend()
@@ -181,6 +179,6 @@ def _memory(servo: Servo) -> float:
     return float(np.clip(memory, _SHORTEST_S, _LONGEST_S))
 
 
-def _between(values: Array, steps: NDArray[np.integer], share: Array) -> Array:
+def _between(values: Array, steps: Integers, share: Array) -> Array:
     """Values `(sample, joint)` at shares `(sample, 1)` of the way from steps `(sample,)` to the next."""
     return values[steps] + share * (values[steps + 1] - values[steps])

@@ -11,8 +11,9 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lite6jax.array_types import Integers
 from lite6jax.controller import protocol
 from lite6jax.emulator.body import EmulatedArm
 from lite6jax.emulator.core import Core, Faults, answer, report
@@ -265,7 +266,7 @@ class Controller:
                     self._send(port, index, report(core, port, index / rate))
             core.advance(due)
 
-    def _send(self, port: int, index: NDArray[np.integer], reports: bytes) -> None:
+    def _send(self, port: int, index: Integers, reports: bytes) -> None:
         """Sends reports to all readers of a port, except those omitted by faults."""
         faults = self._core.faults
         size = len(reports) // len(index)

@@ -7,15 +7,13 @@ recording to another, and so do numbers that are fitted without that part.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.estimation.least_squares import Fit, linear_columns
-from lite6jax.estimation.problem import LinearisedProblem, Mask, linearised_at, prior_precision
+from lite6jax.estimation.problem import LinearisedProblem, linearised_at, prior_precision
 from lite6jax.estimation.projection import scaled_inverse
 from lite6jax.estimation.robust import FREEDOM, variance_factor
 from lite6jax.estimation.terms import Terms
-
-Array = NDArray[np.floating]
 
 _FEWEST = 4.0
 """Least effective number of blocks, (Σv)² / Σv² of the expected squares v, from which their scatter says something."""

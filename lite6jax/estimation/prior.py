@@ -97,7 +97,7 @@ class Prior:
 
     @property
     def entries(self) -> dict[str, dict[str, float | str]]:
-        """Of each kind of explanation its probability, what it costs in nats, what it says, and why it is so."""
+        """The probability of each kind of explanation, what it costs in nats, what it says, and why it is so."""
         return {
             entry.name: {
                 "probability": entry.value,

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, Self, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.estimation.terms import Factored, Term, Terms
 
-Array = NDArray[np.floating]
-Mask = NDArray[np.bool_]
 P = TypeVar("P", bound="LinearisedProblem")
 _NEAR = 1 / 75
 """Standard deviations of a prior, within which columns are taken for the same."""
@@ -128,7 +126,7 @@ class LinearisedProblem(Protocol):
     @property
     def samples(self) -> int: ...
     @property
-    def groups(self) -> NDArray[np.integer]: ...
+    def groups(self) -> Integers: ...
     @property
     def precision(self) -> Array: ...
     @property
@@ -197,7 +195,7 @@ class Problem(LinearisedProblem, Protocol):
     """
 
     @property
-    def run(self) -> NDArray[np.integer]: ...
+    def run(self) -> Integers: ...
     @property
     def valid(self) -> Mask: ...
     @property
@@ -215,7 +213,7 @@ class Problem(LinearisedProblem, Protocol):
     @property
     def quantities(self) -> tuple[DriverValues, ...]: ...
     @property
-    def every_run(self) -> NDArray[np.integer]: ...
+    def every_run(self) -> Integers: ...
 
     def process(
         self,

@@ -5,11 +5,10 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.linalg.lapack import get_lapack_funcs
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array, Integers, Mask
 
 ROUNDING = 1e-13
 """Relative eigenvalue of a matrix of unit diagonal below which a direction is rounding."""
@@ -51,12 +50,17 @@ def orthonormal(rows: Array, rounding: float) -> Array:
     return np.linalg.inv(np.linalg.cholesky(basis @ basis.T)) @ basis
 
 
+def diagonal_root(H: Array) -> Array:
+    """`(number,)`, the root of the diagonal of H, never zero: its outer product scales H to unit diagonal."""
+    return np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+
+
 def half_inverse(H: Array, rounding: float) -> tuple[Array, float]:
     """T `(number, rank)` with T Tᵀ the inverse of a positive semidefinite H, and the logarithm of its determinant.
 
     Directions without information, after H is scaled to unit diagonal, count in neither.
     """
-    root = np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
+    root = diagonal_root(H)
     C = H / np.outer(root, root)
     factor = _cholesky(C, _CLEARLY * rounding)
     if factor is not None:
@@ -100,7 +104,7 @@ class Span:
 
     @classmethod
     def of_rows(cls, rows: Array, rounding: float) -> "Span":
-        """Of unit rows `(number, reading)`, `rounding` as of `orthonormal`."""
+        """Takes the span of unit rows `(number, reading)`, `rounding` as of `orthonormal`."""
         whole = orthonormal(rows, rounding)
         return cls(whole, rows @ whole.T, np.zeros((0, rows.shape[1])), np.zeros(0))
 
@@ -115,7 +119,7 @@ class Span:
         coming = self.changes[self.sign > 0]
         return np.concatenate([basis, coming]) if len(coming) else basis
 
-    def part(self, stays: NDArray[np.bool_], rounding: float) -> "Span":
+    def part(self, stays: Mask, rounding: float) -> "Span":
         """The span of those rows alone that stay, `(number,)`."""
         if len(self.changes):
             basis = self.basis
@@ -179,9 +183,9 @@ def scaled_inverse(H: Array, rounding: float = ROUNDING) -> Array:
     return np.linalg.pinv(C, rcond=rounding, hermitian=True) / scale
 
 
-def schur_complement(G: Array, known: NDArray[np.integer], rounding: float = 1e-12) -> Array:
+def schur_complement(G: Array, known: Integers, rounding: float = 1e-12) -> Array:
     """The Schur complement `(number, number)` of a Gram matrix G: products of columns outside the span of `known`."""
-    size = np.sqrt(np.maximum(np.diagonal(G), np.finfo(float).tiny))
+    size = diagonal_root(G)
     C = G / np.outer(size, size)
     inverse = np.linalg.pinv(C[np.ix_(known, known)], rcond=rounding, hermitian=True)
     return (C - C[:, known] @ inverse @ C[known]) * np.outer(size, size)

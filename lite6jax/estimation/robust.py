@@ -3,9 +3,8 @@
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 FREEDOM = 15.0
 """Degrees of freedom of the robust loss: 97 % efficient on Gaussian noise; influence falls beyond four sigma."""

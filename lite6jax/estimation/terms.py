@@ -7,9 +7,8 @@ from itertools import pairwise
 from typing import Any, ClassVar, Protocol, TypeGuard, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 
 class Number(Protocol):
@@ -105,7 +104,7 @@ class ProcessTerm(Term, Protocol):
 
 
 def is_process(term: Term) -> TypeGuard[ProcessTerm]:
-    """Whether a term is a Gaussian process and no named one."""
+    """Tells whether a term is a Gaussian process and no named one."""
     return term.nonparametric
 
 
@@ -132,14 +131,19 @@ class Terms:
         return tuple(slice(start, end) for start, end in pairwise(ends))
 
     @cached_property
+    def pairs(self) -> tuple[tuple[Term, slice], ...]:
+        """Each term with the place of its numbers."""
+        return tuple(zip(self.terms, self.slices, strict=True))
+
+    @cached_property
     def typical(self) -> Array:
         """`(size,)`, the common size of each number."""
         return np.array([number.typical for term in self.terms for number in term.coordinates])
 
     def part(self, values: Array, kept: Sequence[bool]) -> "tuple[Terms, Array]":
         """The terms that are kept, and their numbers out of `values` `(size,)`."""
-        pairs = [(t, values[at]) for t, at, stays in zip(self.terms, self.slices, kept, strict=True) if stays]
-        return Terms(tuple(term for term, _ in pairs)), join(value for _, value in pairs)
+        staying = [(term, values[at]) for (term, at), stays in zip(self.pairs, kept, strict=True) if stays]
+        return Terms(tuple(term for term, _ in staying)), join(value for _, value in staying)
 
 
 def join(values: Iterable[Sequence[float] | Array]) -> Array:

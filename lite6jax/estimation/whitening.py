@@ -4,13 +4,11 @@ from collections.abc import Hashable, Sequence
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.problem import LinearisedProblem
 from lite6jax.estimation.terms import Term, Terms
-
-Array = NDArray[np.floating]
 
 _MOST = 1 << 25
 """Numbers that are kept: 256 MB."""

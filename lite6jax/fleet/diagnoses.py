@@ -229,7 +229,7 @@ def check_pooled(out: Path, names: Sequence[str], overwrite: bool) -> None:
 
 
 def _kind(heading: "reduced.Heading") -> tuple[str, int, str]:
-    """Of which recordings are pooled: the arm, its number of joints, and what is measured."""
+    """The kind of recordings that are pooled: the arm, its number of joints, and what is measured."""
     return heading.about["arm"], heading.about["joints"], heading.about["what"]
 
 

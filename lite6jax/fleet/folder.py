@@ -48,7 +48,7 @@ def columns() -> "dict[str, pa.DataType]":
 
 
 def has_failed(row: Mapping[str, Any]) -> bool:
-    """Whether a person should look at it: not readable, not converged, or with a model that is none of the data."""
+    """Tells whether a person should look at it: not readable, not converged, or its model is none of the data."""
     return row["result"] != Result.CONVERGED or row["quality"] == "bad"
 
 

@@ -13,13 +13,11 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc, fdtrc, stdtrit
 
-from lite6jax.estimation.projection import scaled_inverse
-
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
+from lite6jax.estimation.projection import diagonal_root, scaled_inverse
 
 _LEVEL = 0.95
 _ROUNDING = 1e-12
@@ -54,7 +52,7 @@ class ArmLikelihoods:
 
     @cached_property
     def eigen(self) -> tuple[Array, Array, Array]:
-        """Of the information in typical sizes: values `(arm, number)`, vectors, and the score along these."""
+        """Eigenvalues `(arm, number)` and vectors of the information in typical sizes, and the score along these."""
         D = self.typical
         values, U = np.linalg.eigh(self.information * np.outer(D, D))
         values = np.where(values > _ROUNDING * max(float(values.max(initial=0.0)), 1e-300), values, 0.0)
@@ -72,7 +70,7 @@ class ArmLikelihoods:
         shrunk = 1 / (1 + tau**2 * values)
         M = np.einsum("aij,aj,akj->ik", U, values * shrunk, U) + np.diag(self.typical**2 / self.variance)
         v = np.einsum("aij,aj->i", U, shrunk * along)
-        root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
+        root = diagonal_root(M)
         scaled, V = np.linalg.eigh(M / np.outer(root, root))
         determined = scaled > _RANK
         inverse = (V[:, determined] / scaled[determined]) @ V[:, determined].T / np.outer(root, root)
@@ -119,11 +117,11 @@ class Hierarchy:
 
     @property
     def between_p_value(self) -> float:
-        """Of estimates that vary as much if all arms are alike (W. Cochran, Biometrics 10, 1954)."""
+        """Probability of estimates that vary as much if all arms are alike (W. Cochran, Biometrics 10, 1954)."""
         arms = replace(self.arms, variance=np.inf)
         values, _, along = arms.eigen
         mean, M, *_ = arms.solved(0.0)
-        root = np.sqrt(np.maximum(np.diagonal(M), np.finfo(float).tiny))
+        root = diagonal_root(M)
         determined = np.linalg.matrix_rank(M / np.outer(root, root), _RANK, hermitian=True)
         shown = values > 0
         separate_statistic = float(np.sum(along[shown] ** 2 / values[shown]))
@@ -149,7 +147,7 @@ class Hierarchy:
         return estimates * D, (conditional_covariance + of_mean) * np.outer(D, D)
 
     def outlier_p_value(self, arm: int) -> float:
-        """Of an arm as far from what the others predict: a model of those is fitted without it.
+        """Probability of an arm as far from what the others predict: a model of those is fitted without it.
 
         The squared distance over its variance is compared with F. An estimate of τ² has the uncertainty of a variance
         from as many arms, also where most of what it is estimated from is the uncertainty of each arm: so these are the

@@ -109,7 +109,7 @@ class StorageFolder:
         return sorted(name for name in file_names if name and not name.startswith("."))
 
     def is_file(self, name: str) -> bool:
-        """Whether a name is that of a file."""
+        """Tells whether a name is that of a file."""
         return self.remote or os.path.isfile(os.path.join(self.root, name))
 
     @contextmanager
@@ -216,7 +216,7 @@ def _without_growing(names: Sequence[str]) -> list[str]:
 
 
 def _holds_rows(path: Path) -> bool:
-    """Whether a Parquet file is what a run wrote, not a recording."""
+    """Tells whether a Parquet file is what a run wrote, not a recording."""
     import pyarrow
     import pyarrow.parquet
 

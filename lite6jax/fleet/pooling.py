@@ -24,9 +24,10 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.estimation.evidence import best_amplitude, of_process
 from lite6jax.estimation.options import EngineOptions
@@ -45,7 +46,6 @@ from lite6jax.fleet.reduced import (
 from lite6jax.fleet.terms import CUBICS, SPLINES, FleetProcess, PooledTerm, Tested, Tried
 from lite6jax.workers import Workers
 
-Array = NDArray[np.floating]
 Way = Literal["mean", "any", "one"]
 Asked = tuple[Tested, tuple[Tested, ...]]
 """A term, and those beside which it is measured."""
@@ -457,7 +457,7 @@ class Search:
         return weigh(term, evidence, CONFOUNDED, self._tried.cost(term))
 
     def _is_possible(self, weighed: PooledEvidence) -> bool:
-        """Whether the mean is not far outside what the named effect can be, as far as that matters."""
+        """Tells whether the mean is not far outside what the named effect can be, as far as that matters."""
         candidate = self._tried.candidate(weighed.term)
         lower = np.array(candidate.lower)
         upper = np.array(candidate.upper)
@@ -471,6 +471,6 @@ class Search:
 
 
 def _is_same(first: Tested, second: Tested, width: float) -> bool:
-    """Whether two terms are one, or waves that are one line, or processes of the same drivers."""
+    """Tells whether two terms are one, or waves that are one line, or processes of the same drivers."""
     orders = [term.order for term in (first, second) if isinstance(term, PooledTerm) and term.order is not None]
     return first.key == second.key and (len(orders) < 2 or abs(orders[0] - orders[1]) < width)

@@ -6,8 +6,8 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.effects.drivers import driver_of
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import scaled_inverse
@@ -15,8 +15,6 @@ from lite6jax.fleet import FLEET
 from lite6jax.fleet.hierarchy import Hierarchy, fitted
 from lite6jax.fleet.pooling import PooledEvidence, Reduced, Search
 from lite6jax.fleet.terms import Candidate, FleetProcess, Tested, Tried
-
-Array = NDArray[np.floating]
 
 _FEWEST_ARMS = 5
 """Arms below which none is said to differ from the others; four give a variance."""
@@ -61,7 +59,7 @@ class TypeEffect:
     outliers: Mapping[int, float]
 
     def estimates(self) -> list[tuple[Array, Array] | None]:
-        """Of each arm the numbers and their standard deviations; None of an arm that does not show the effect.
+        """The numbers of each arm and their standard deviations; None of an arm that does not show the effect.
 
         Those of an outlier are of its recording alone; the others are estimates of empirical Bayes.
         """

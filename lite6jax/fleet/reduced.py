@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.filtering import LowPass
 from lite6jax.effects import kernels
 from lite6jax.errors import InputError
@@ -38,9 +39,6 @@ from lite6jax.fleet.terms import (
     Varied,
 )
 
-Array = NDArray[np.floating]
-Integers = NDArray[np.integer]
-
 SCREENED = {
     SPLINES: tuple(kernels.kernel_of(name).root for name in ("cubic", "medium", "rough")),
     CUBICS: (np.eye(kernels.kernel_of(CUBICS).size(())),),
@@ -52,7 +50,7 @@ _ROUNDING = 1e-9
 _ARRAYS = ("places", "values", "run", "training", "basis", "residual", "blocks")
 
 
-def readings(columns: Array, noise: NoiseModel, training: NDArray[np.bool_], number: int) -> Array:
+def readings(columns: Array, noise: NoiseModel, training: Mask, number: int) -> Array:
     """Columns `(…, row, sample)`, of unit noise, as those of all `number` readings: white, zero at samples that are not
     fitted. Readings of the prior come after all samples."""
     white = noise.whitened(columns) * training
@@ -158,7 +156,7 @@ class ReducedArm:
     values: Array
     run: Integers
     noise: NoiseModel
-    training: NDArray[np.bool_]
+    training: Mask
     basis: Array
     residual: Array
     blocks: Integers
@@ -266,7 +264,7 @@ class ReducedArm:
 
     @property
     def freedom(self) -> float:
-        """Of what is left."""
+        """Degrees of freedom of what is left."""
         rows = len(self.noise.groups)
         return float(max(self.residual.size - rows * np.sum(~self.training) - len(self.basis), 1))
 
@@ -279,7 +277,7 @@ class ReducedArm:
         return replace(self, basis=basis, residual=self.residual - (new @ self.residual) @ new)
 
     def evidence(self, term: Tested) -> RecordingEvidence | None:
-        """Of a term beside the model; None where the recording cannot show it, or it is confounded with the model."""
+        """Evidence of a term beside the model; None where the recording cannot show it, or the model confounds it."""
         columns = self.columns_of(term)
         projected = outside(columns, self.basis)
         norms = np.linalg.norm(columns, axis=1)
@@ -314,7 +312,7 @@ class ReducedArm:
         return RecordingScan(candidate_evidence, groups, float(self.left @ self.left), self.freedom)
 
     def _spectrum(self, family: Candidate, options: EngineOptions) -> GroupScores:
-        """Of the waves of a family."""
+        """Scores of the waves of a family."""
         orders = order_grid(options)
         place = self._place_of(family)
         acting = place.any(1)
@@ -336,7 +334,7 @@ class ReducedArm:
         return GroupScores(score, information, np.stack([statistic, size, size])[..., None])
 
     def _screened(self, processes: Sequence[FleetProcess], roots: Sequence[Array]) -> GroupScores:
-        """Of processes; in autocorrelated noise of those that vary slowly beside their places."""
+        """Scores of processes; in autocorrelated noise of those that vary slowly beside their places."""
         groups = len(processes)
         size = len(roots[0])
         score = np.zeros((groups, size))

@@ -119,7 +119,7 @@ def reduced(diagnosis: Diagnosis | TorqueDiagnosis) -> ReducedArm:
 
 
 def _is_pooled(term: Term, candidates: Sequence[Effect], problem: PoseProblem | TorqueProblem) -> bool:
-    """Whether a term is tested where recordings are pooled: a name, a wave of a whole angle, or a process."""
+    """Tells whether a term is tested where recordings are pooled: a name, a wave of a whole angle, or a process."""
     if term.nonparametric:
         kernel = term.kernel if isinstance(term, Process) else ""
         sites = {term.site, ""}

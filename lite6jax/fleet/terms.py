@@ -9,8 +9,8 @@ from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, cast, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers
 from lite6jax.effects import kernels
 from lite6jax.effects.drivers import Driver
 from lite6jax.estimation.evidence import log_orders
@@ -18,8 +18,6 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, Problem
 from lite6jax.estimation.terms import Term
 from lite6jax.search.scan import Scan
-
-Array = NDArray[np.floating]
 
 SPLINES = "splines"
 CUBICS = "cubic*cubic"
@@ -105,7 +103,7 @@ class FleetProcess:
         sizes = ((_TYPICAL,) * count, (-np.inf,) * count, (np.inf,) * count)
         return Candidate(self.key, "unnamed", self.site, " and ".join(self.drivers), names, *sizes)
 
-    def functions(self, values: Array, run: NDArray[np.integer] | None = None) -> Array:
+    def functions(self, values: Array, run: Integers | None = None) -> Array:
         """Its functions `(function, moment)` at values `(driver, moment)`; `run` as of a `Motion`."""
         if self.kernel == SPLINES:
             lower, upper = self.bounds
@@ -223,7 +221,7 @@ class Tried:
         return self._scan.cost_of_name(cast(Term, self.named[term.key]))
 
     def cost_of_waves(self, orders: Array) -> Array:
-        """Of a wave of each order `(order,)` of one family."""
+        """Cost of a wave of each order `(order,)` of one family."""
         return self._options.prior.cost("wave") + np.log(max(len(self.families), 1)) + log_orders(orders, self._options)
 
     def _process(self, place: FleetComponent, kernel: str, *indices: int) -> FleetProcess:

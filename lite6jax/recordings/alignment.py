@@ -7,13 +7,11 @@ from itertools import permutations, product
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.recordings.sequence import spread_rows
-
-Array = NDArray[np.floating]
 
 FINEST_SENSOR_M = 2e-5
 """Above, an error may be a sensor's noise."""
@@ -135,7 +133,7 @@ def _missed(R: Array, p: Array, position: Array, T_frame: Array, T_tool: Array) 
 
 
 def _translations(R: Array, p: Array, position: Array, weight: Array, R_frame: Array) -> tuple[Array, Array]:
-    """Of the tool and the sensor frame, whose rotation is given."""
+    """Translations of the tool and the sensor frame, whose rotation is given."""
     columns = np.concatenate([R_frame @ R, np.broadcast_to(np.eye(3), R.shape)], 2)
     translations = _solve(columns, position - p @ R_frame.T, weight)
     return translations[:3], translations[3:]
@@ -172,7 +170,7 @@ def _solve(columns: Array, target: Array, weight: Array) -> Array:
 
 
 def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
-    """Whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
+    """Tells whether an arm reproduces positions as only the controller's own computation from the joints is reproduced.
 
     Args:
         error: m, the median distance of the positions from those of the arm's kinematics.
@@ -185,7 +183,7 @@ def computed_by_controller(error: float, position: Array, joint: Array) -> bool:
 
 
 def is_below_sensors(error: float, position: Array) -> bool:
-    """Whether a fitted table is nearer to positions `(sample, 3)` m than any sensor measures an arm."""
+    """Tells whether a fitted table is nearer to positions `(sample, 3)` m than any sensor measures an arm."""
     return median_distance(position) > LEAST_TRAVEL_M and error <= COMPUTED_M
 
 

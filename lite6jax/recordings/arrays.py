@@ -7,16 +7,15 @@ calibrations take them, become the columns of two poses.
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
-from numpy.typing import NDArray
 
+from lite6jax.array_types import AnyArray
 from lite6jax.errors import InputError
+from lite6jax.formatting import shortened
 from lite6jax.recordings.table import RawTable
-
-Array = NDArray[Any]
 
 WIDEST = 64
 """Numbers of a sample in one array that are a column each; more, such as pictures, are none."""
@@ -28,7 +27,7 @@ _NUMBERED = re.compile(r"(.*?)[_.]?(\d+)")
 _SHOWN = 4
 
 
-def tabulate_arrays(arrays: Mapping[str, Array], source: str, notes: list[str]) -> RawTable:
+def tabulate_arrays(arrays: Mapping[str, AnyArray], source: str, notes: list[str]) -> RawTable:
     """The columns of named arrays: `q[0]`, `q[1]` of `(sample, 2)`, `T[0][0]` of `(sample, 4, 4)`.
 
     Args:
@@ -49,20 +48,19 @@ def tabulate_arrays(arrays: Mapping[str, Array], source: str, notes: list[str]) 
     lined_up = {name: _samples_first(array, samples) for name, array in numbers.items()}
     left_out = [name for name, array in lined_up.items() if array is None or array[0].size > WIDEST]
     sampled_arrays = {name: array for name, array in lined_up.items() if array is not None and name not in left_out}
-    columns: dict[str, Array] = {}
+    columns: dict[str, AnyArray] = {}
     for name, array in pair_poses(sampled_arrays, notes).items():
         columns |= dict(_columns(name, array, _element_names(labels, name, array)))
     columns |= {name: array.astype(object) for name, array in labels.items() if array.shape == (samples,)}
     if left_out:
-        shown = ", ".join(f"{name} ({' x '.join(map(str, numbers[name].shape))})" for name in left_out[:_SHOWN])
-        more = f" and {len(left_out) - _SHOWN} more" if len(left_out) > _SHOWN else ""
-        notes.append(f"left out, as they are no columns of {samples} rows: {shown}{more}")
+        shapes = [f"{name} ({' x '.join(map(str, numbers[name].shape))})" for name in left_out]
+        notes.append(f"left out, as they are no columns of {samples} rows: {shortened(shapes, _SHOWN)}")
     if not columns:
         raise InputError(f"{source}: holds no arrays of numbers with a row for each sample; write it as CSV")
     return RawTable.of_arrays(columns)
 
 
-def _plain(array: Array) -> Array:
+def _plain(array: AnyArray) -> AnyArray:
     """Numbers as float64, words as text, and nothing of all else."""
     if array.dtype.kind in "biuf":
         return array.astype(np.float64)
@@ -75,7 +73,7 @@ def _plain(array: Array) -> Array:
     return np.zeros(0)
 
 
-def _stack_numbered(arrays: Mapping[str, Array]) -> dict[str, Array]:
+def _stack_numbered(arrays: Mapping[str, AnyArray]) -> dict[str, AnyArray]:
     """Matrices of single samples, such as `R_0`, `R_1`, …, as one array."""
     groups: defaultdict[tuple[str, tuple[int, ...]], dict[int, str]] = defaultdict(dict)
     for name, array in arrays.items():
@@ -92,7 +90,7 @@ def _stack_numbered(arrays: Mapping[str, Array]) -> dict[str, Array]:
     return stacked
 
 
-def _count_samples(arrays: Mapping[str, Array]) -> int:
+def _count_samples(arrays: Mapping[str, AnyArray]) -> int:
     """The length that most arrays of numbers have along some axis, of several the longest."""
     counts: Counter[int] = Counter()
     for array in arrays.values():
@@ -101,7 +99,7 @@ def _count_samples(arrays: Mapping[str, Array]) -> int:
     return max(counts, key=lambda length: (counts[length], length), default=0)
 
 
-def _samples_first(array: Array, samples: int) -> Array | None:
+def _samples_first(array: AnyArray, samples: int) -> AnyArray | None:
     """`(sample, …)` with axes of length one removed; None of an array without an axis of samples."""
     axis = next((k for k, length in enumerate(array.shape) if length == samples), None)
     if axis is None:
@@ -110,7 +108,7 @@ def _samples_first(array: Array, samples: int) -> Array | None:
     return array.reshape(samples, *(length for length in array.shape[1:] if length != 1))
 
 
-def _element_names(labels: Mapping[str, Array], name: str, array: Array) -> Sequence[str]:
+def _element_names(labels: Mapping[str, AnyArray], name: str, array: AnyArray) -> Sequence[str]:
     """What the numbers of a sample are called, by a list of as many names beside the array; none without it."""
     beside = name.rpartition(".")[0]
     if array.ndim != 2:
@@ -125,7 +123,7 @@ def _element_names(labels: Mapping[str, Array], name: str, array: Array) -> Sequ
     )
 
 
-def _columns(name: str, array: Array, elements: Sequence[str]) -> Iterator[tuple[str, Array]]:
+def _columns(name: str, array: AnyArray, elements: Sequence[str]) -> Iterator[tuple[str, AnyArray]]:
     """The columns of `(sample, …)`, by their names."""
     if array.ndim == 1:
         yield name, array
@@ -169,7 +167,7 @@ class _Part(NamedTuple):
     part: str
 
 
-def pair_poses(arrays: Mapping[str, Array], notes: list[str]) -> dict[str, Array]:
+def pair_poses(arrays: Mapping[str, AnyArray], notes: list[str]) -> dict[str, AnyArray]:
     """Arrays, with pairs of poses of a hand-eye calibration as positions and quaternions of `robot` and `marker`.
 
     The layouts are those of OpenCV's `calibrateHandEye` (`R_gripper2base`, `t_target2cam`), MoveIt's calibration
@@ -211,7 +209,7 @@ def _part_of(name: str) -> _Part | None:
     return None
 
 
-def _pose(arrays: Mapping[str, Array], parts: Mapping[str, _Part]) -> Array | None:
+def _pose(arrays: Mapping[str, AnyArray], parts: Mapping[str, _Part]) -> AnyArray | None:
     """`(sample, 4, 4)` of one side of a pair; None where its arrays are no pose."""
     if not parts or len({part.inverted for part in parts.values()}) > 1:
         return None
@@ -240,7 +238,7 @@ def _pose(arrays: Mapping[str, Array], parts: Mapping[str, _Part]) -> Array | No
     return np.linalg.inv(T) if inverted else T
 
 
-def _rotations(arrays: Mapping[str, Array]) -> Array | None:
+def _rotations(arrays: Mapping[str, AnyArray]) -> AnyArray | None:
     """`(sample, 3, 3)` of matrices, rotation vectors, or quaternions by the names of their parts."""
     quaternion = _joined(arrays, "xyzw")
     if quaternion is not None:
@@ -255,7 +253,7 @@ def _rotations(arrays: Mapping[str, Array]) -> Array | None:
     return scipy.spatial.transform.Rotation.from_rotvec(array).as_matrix() if array.shape[1:] == (3,) else None
 
 
-def _joined(arrays: Mapping[str, Array], letters: str) -> Array | None:
+def _joined(arrays: Mapping[str, AnyArray], letters: str) -> AnyArray | None:
     """`(sample, letter)` of one array, or of one for each letter, with which their names end; None of others."""
     if len(arrays) == 1 and letters == "xyz":
         (array,) = arrays.values()

@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
 from lite6jax.recordings.files import open_table, require_table
 from lite6jax.recordings.ros import ArmJoints
 from lite6jax.recordings.settings import BoardSettings, CameraSettings
 from lite6jax.sensors.camera import FEWEST_CORNERS
-
-Array = NDArray[np.floating]
 
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
 _BOARD = re.compile(r"charuco:(\d{1,4})x(\d{1,4}),([\d.]+)mm(?:,([\d.]+)mm)?(?:,(?:DICT_)?(\w+))?", re.IGNORECASE)
@@ -62,7 +61,7 @@ class Corners(NamedTuple):
     legacy: bool = False
 
     @property
-    def shown(self) -> NDArray[np.bool_]:
+    def shown(self) -> Mask:
         """`(image,)`, which show the board."""
         return np.asarray(np.isfinite(self.pixels[..., 0]).any(1))
 
@@ -121,7 +120,7 @@ def list_images(sources: Sequence[str | Path]) -> list[Path]:
     return images
 
 
-def match_rows(images: Sequence[Path], table: Path) -> NDArray[np.integer]:
+def match_rows(images: Sequence[Path], table: Path) -> Integers:
     """The row of a table of joints that each image was taken at, `(image,)` from 1.
 
     A column `image` names the files, with or without suffix. Without one the rows are in the order of the images.

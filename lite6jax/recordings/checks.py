@@ -5,9 +5,10 @@ from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float, Int
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm, joint_unit
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.recordings.recording import Recording
 from lite6jax.recordings.sequence import differentiate, run_segments
@@ -187,9 +188,9 @@ class TorqueNoise:
         step: `(joint,)` Nm, the smallest change from row to row that is not zero.
     """
 
-    ranges: list[NDArray[np.floating]] = field(default_factory=list)
-    largest: NDArray[np.floating] | float = 0.0
-    step: NDArray[np.floating] | float = np.inf
+    ranges: list[Array] = field(default_factory=list)
+    largest: Array | float = 0.0
+    step: Array | float = np.inf
 
     def add(self, position: Float[np.ndarray, "row joint"], torque: Float[np.ndarray, "row joint"]) -> None:
         """One window of consecutive rows: rad and Nm; one with numbers that are not finite says nothing."""
@@ -203,7 +204,7 @@ class TorqueNoise:
 
     @property
     def absent(self) -> bool:
-        """Whether the torques of an arm at rest are constant, and known finely enough for that to be no rounding."""
+        """Tells whether torques of an arm at rest are constant, and known finely enough for that to be no rounding."""
         if len(self.ranges) < FEWEST or not np.any(self.largest):
             return False
         acting = np.asarray(self.largest) > 0
@@ -215,7 +216,7 @@ class TorqueNoise:
 
 
 def estimated_torque(recording: Recording) -> bool:
-    """Whether the recorded torques have no noise at all: the controller's own model, which says nothing of the motors.
+    """Tells whether the recorded torques have no noise: the controller's own model, which says nothing of the motors.
 
     False without torques, and where the arm is never at rest for long enough. False too where the steps of the torques
     are so coarse that they may hide noise.

@@ -15,16 +15,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import AnyArray
 from lite6jax.errors import InputError
 from lite6jax.recordings.arrays import LARGEST, WIDEST, tabulate_arrays
 from lite6jax.recordings.parquet import one_line
 from lite6jax.recordings.table import RawTable
 from lite6jax.recordings.texts import open_text
 from lite6jax.storage import YAML_SIZE_LIMIT, parse_yaml, read_text
-
-Array = NDArray[Any]
 
 TEXT_LIMIT = 1 << 26
 """Bytes of a document, and of all that a workbook holds once it is unpacked."""
@@ -79,7 +77,7 @@ class _Episode(NamedTuple):
 def read_hdf5(path: Path, notes: list[str]) -> RawTable:
     """The data sets of an HDF5 file, as of ALOHA, robomimic and AgiBot; episodes one after the other."""
     h5py = require_library("h5py", "hdf5", path, "HDF5")
-    episodes: defaultdict[int, dict[str, Array]] = defaultdict(dict)
+    episodes: defaultdict[int, dict[str, AnyArray]] = defaultdict(dict)
     with refuse_damage(path, "HDF5 file"), h5py.File(path, "r") as file:
         sets: dict[str, Any] = {}
         # what lies in other files is not read
@@ -111,12 +109,12 @@ def read_hdf5(path: Path, notes: list[str]) -> RawTable:
 
 
 def _is_narrow(shape: Sequence[int]) -> bool:
-    """Whether an array has at most as many numbers as a sample may have, for the longest of its axes."""
+    """Tells whether an array has at most as many numbers as a sample may have, for the longest of its axes."""
     return int(np.prod(shape, dtype=object)) <= WIDEST * max(shape)
 
 
 def _is_derived(name: str, names: Collection[str]) -> bool:
-    """Whether an array is the sine or cosine of another one, as robomimic keeps of joint positions."""
+    """Tells whether an array is the sine or cosine of another one, as robomimic keeps of joint positions."""
     base, _, function = name.rpartition("_")
     return function in ("sin", "cos") and base in names
 
@@ -128,7 +126,7 @@ def _episode_of(name: str) -> _Episode:
     return _Episode(int(match[2]), name[match.end() + 1 :].replace("/", "."))
 
 
-def _concatenate(episodes: Mapping[int, Mapping[str, Array]], path: Path, notes: list[str]) -> RawTable:
+def _concatenate(episodes: Mapping[int, Mapping[str, AnyArray]], path: Path, notes: list[str]) -> RawTable:
     """Episodes that have the same arrays, one after the other, numbered in a column `episode`."""
     parts = {number: arrays for number, arrays in episodes.items() if number >= 0}
     first = next(iter(parts.values()))
@@ -238,7 +236,7 @@ def read_document(path: Path, notes: list[str]) -> RawTable:
     return tabulate_arrays(arrays, str(path), notes)
 
 
-def _walk(value: Any, name: str = "") -> Iterator[tuple[str, Array]]:
+def _walk(value: Any, name: str = "") -> Iterator[tuple[str, AnyArray]]:
     """The arrays in nested mappings and lists; a list of records is an array for each of their keys."""
     if isinstance(value, Mapping):
         for key, member in value.items():

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lite6jax.array_types import Integers
 
 
 @final
@@ -136,6 +137,6 @@ class DataFault:
         return {"fault": self.code, "rows": list(self.rows), "numbers": dict(self.numbers)}
 
 
-def row_numbers(rows: NDArray[np.integer]) -> tuple[int, ...]:
+def row_numbers(rows: Integers) -> tuple[int, ...]:
     """Row numbers in order, as plain integers."""
     return tuple(int(row) for row in np.sort(rows))

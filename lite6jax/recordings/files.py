@@ -165,7 +165,7 @@ def require_own_sidecar(path: Path) -> None:
 
 
 def _was_ended(path: Path) -> bool:
-    """Whether a table of text ends within a line and is of a recording that was not completed, by its sidecar."""
+    """Tells whether a table of text ends within a line and is of a recording that was not completed, by its sidecar."""
     with open(path, "rb") as file:
         file.seek(-min(file.seek(0, os.SEEK_END), 1), os.SEEK_END)
         if file.read() in (b"", b"\n"):

@@ -74,7 +74,7 @@ class Format(NamedTuple):
 
     @property
     def is_table(self) -> bool:
-        """Whether it is one file with a row for each sample."""
+        """Tells whether it is one file with a row for each sample."""
         return not self.is_log and self.is_folder is None
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.effects.motion import Motion, motion_of
 from lite6jax.effects.statics import Inertia, inertia_of
 from lite6jax.fields import field_values
@@ -41,9 +41,6 @@ def inertia_of_arm(arm: Arm, settings: RecordingSettings) -> Inertia | None:
 
 
 # ------------------------------------------------------------------ other joint positions
-
-
-Array = NDArray[np.floating]
 
 
 def with_joints(recording: Recording, A: Array, b: Array, effort: Array | None = None) -> Recording:

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 _VALUE = r"[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:e[-+]?\d+)?"
 _PAIR = re.compile(
@@ -39,7 +38,7 @@ class Pairs(NamedTuple):
 
 
 def holds_pairs(text: str) -> bool:
-    """Whether the first lines of a text are pairs and no table."""
+    """Tells whether the first lines of a text are pairs and no table."""
     lines = [line for line in text.splitlines() if line.strip()]
     of_pairs = [sum(1 for _ in _pairs(line)) for line in lines]
     numbers = [max(len(_NUMBERS.findall(line)), count) for line, count in zip(lines, of_pairs, strict=True)]

@@ -134,7 +134,7 @@ _DEPTH = 2
 
 
 class _Info(msgspec.Struct):
-    """Of the meta/info.json of a data set, what is read here."""
+    """What is read here of the meta/info.json of a data set."""
 
     features: dict[str, dict[str, Any]]
 

@@ -8,14 +8,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.fields import field_values
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.recording import Recording
-
-Array = NDArray[np.floating]
-Rows = NDArray[np.bool_]
 
 ARRAYS = ("joint_position", "position", "joint_torque", "motor_current")
 """Of a recording, in which marks are looked for."""
@@ -36,9 +33,9 @@ class Mark(NamedTuple):
     array: str
     column: int | None
     value: float | None
-    samples: NDArray[np.integer]
+    samples: Integers
 
-    def fault(self, recording: Recording, samples: NDArray[np.integer]) -> DataFault:
+    def fault(self, recording: Recording, samples: Integers) -> DataFault:
         """The mark in some samples of a recording."""
         column = None if self.column is None else self.column + 1
         slides = {*recording.sliding} & ({*range(recording.dof)} if self.column is None else {self.column})
@@ -47,15 +44,11 @@ class Mark(NamedTuple):
         return DataFault("placeholder", row_numbers(recording.row[samples]), numbers)
 
 
-def repeated_vectors(values: Array) -> Rows:
+def repeated_vectors(values: Array) -> Mask:
     """Which rows `(sample, column)` repeat another one exactly, or hold one number in all of several columns."""
     _, group, count = np.unique(values, axis=0, return_inverse=True, return_counts=True)
-    return (count[group.ravel()] > 1) | _uniform(values)
-
-
-def _uniform(values: Array) -> Rows:
-    """Which rows hold one number in all of several columns."""
-    return (values == values[:, :1]).all(1) & (values.shape[1] > 1)
+    uniform = (values == values[:, :1]).all(1) & (values.shape[1] > 1)
+    return (count[group.ravel()] > 1) | uniform
 
 
 def possible_marks(recording: Recording) -> list[Mark]:
@@ -88,7 +81,7 @@ def _of_array(array: str, values: Array | None) -> list[Mark]:
 def without_marks(
     recording: Recording,
     marks: Sequence[Mark],
-    lost_of: Callable[[Mark, NDArray[np.integer], Rows], NDArray[np.integer]],
+    lost_of: Callable[[Mark, Integers, Mask], Integers],
 ) -> tuple[Recording, list[DataFault]]:
     """The recording without rows that hold no measurement, and a fault for each mark.
 

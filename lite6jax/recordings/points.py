@@ -4,16 +4,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.recordings.alignment import median_distance
 from lite6jax.recordings.columns.cells import Points, Words, is_label, spread_points
 from lite6jax.recordings.columns.column import list_columns
 from lite6jax.recordings.columns.inspection import InspectedTable, Inspection
 from lite6jax.recordings.reflectors import FEWEST_POINTS, WithPose, with_pose_of_reflectors
-
-Array = NDArray[np.floating]
 
 _STILL = 1e-3
 """Of the way of the joints: what they change within a state where they are read anew for each point."""
@@ -86,7 +84,7 @@ def _possible_states(
 
 
 def _is_one_place(points: Points) -> bool:
-    """Whether the points that are seen most often are repeated readings of one."""
+    """Tells whether the points that are seen most often are repeated readings of one."""
     first, second = (_place(points, k) for k in _most_seen(points)[:2])
     complete = np.isfinite(first + second).all(axis=1)
     distance = np.linalg.norm(first[complete] - second[complete], axis=1)

@@ -64,7 +64,7 @@ def read_program(path: Path, notes: list[str]) -> RawTable:
 
 
 def holds_program(text: str) -> bool:
-    """Whether a text is KUKA's list of points, and no table: both end in .dat."""
+    """Tells whether a text is KUKA's list of points, and no table: both end in .dat."""
     return re.search(r"^\s*DEFDAT\b|\bE6(AXIS|POS)\b|\{\s*A1\s", text, re.IGNORECASE | re.MULTILINE) is not None
 
 

@@ -7,14 +7,13 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
 from lite6jax.recordings.columns.column import READINGS, spelled
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.sensors.camera import BoardPoses, Lens, board_poses
 from lite6jax.sensors.kinds import KINDS, Kind
-
-Array = NDArray[np.floating]
 
 LARGEST_CORNER = 10_000
 
@@ -55,7 +54,7 @@ class Readings:
         return replace(self, group=self.group[rows], value=self.value[rows], pixels=self.pixels[rows], seen=poses)
 
     def with_poses(self, settings: RecordingSettings, source: str) -> "Readings":
-        """Of a camera, with the poses that its corners give by the lens and the board of the settings.
+        """Adds to readings of a camera the poses that its corners give by the lens and the board of the settings.
 
         Raises:
             InputError: no lens, no board, a corner that the board lacks, corners outside one plane.

@@ -323,7 +323,7 @@ class Recording(PublicResult):
 
     @property
     def has_torques(self) -> bool:
-        """Whether it holds joint torques or motor currents."""
+        """Tells whether it holds joint torques or motor currents."""
         return self.joint_torque is not None or self.motor_current is not None
 
     def torques(self) -> Float[np.ndarray, "sample joint"]:
@@ -402,24 +402,23 @@ class Recording(PublicResult):
         if np.array_equal(order, np.arange(self.samples)):
             return self
         arrays = self._chosen(order)
-        if self.velocity_differentiated:
-            arrays["joint_velocity"] = differentiate(arrays["joint_position"], arrays["time"], segment)
-        arrays["direction_of_motion"] = directions(
-            arrays["joint_position"], arrays.get("joint_velocity"), segment, self.motion
-        )
+        self._derive_motion(arrays, segment)
         moved = int(np.sum(order != np.arange(self.samples)))
         return replace(self, **arrays, notes=(*self.notes, f"{moved} rows were out of time order and have been sorted"))
 
     def without_rows(self, rows: Bool[np.ndarray, " sample"]) -> "Recording":
         """Without rows that were not measured: directions and differentiated velocities are those of the others."""
         arrays = self._chosen(~rows)
-        segment = run_segments(arrays["run"])
+        self._derive_motion(arrays, run_segments(arrays["run"]))
+        return replace(self, **arrays)
+
+    def _derive_motion(self, arrays: dict[str, Any], segment: Int[np.ndarray, " sample"]) -> None:
+        """Puts differentiated velocities and directions of the positions in `arrays` into these."""
         if self.velocity_differentiated:
             arrays["joint_velocity"] = differentiate(arrays["joint_position"], arrays["time"], segment)
         arrays["direction_of_motion"] = directions(
             arrays["joint_position"], arrays.get("joint_velocity"), segment, self.motion
         )
-        return replace(self, **arrays)
 
     def made_anew(self, **changes: Any) -> "Recording":
         """With other arguments of `assembled`; directions, and velocities that were not recorded, follow from them.
@@ -528,17 +527,20 @@ def check_scale(
             the positions from their middle (or the base) is over five reaches.
     """
     spelling = {} if table is None else table.spelling
+    given_as: Given = provenance
+    unit_remedy = "check the unit"
+    if provenance == "file":
+        given_as = "table"
+        unit_remedy = FIND_UNIT
 
     def said(joint: int) -> tuple[str, str]:
         name = spelling.get(f"q{joint + 1}_rad", f"q{joint + 1}_rad")
         remedy = _ask_about("degrees", "q1_deg ...", "radians: np.deg2rad(joint_position)", provenance)
         if joint in recording.sliding:
             metres = f"metres: joint_position[:, {joint}] / 1000"
-            remedy = _ask_about(
-                "millimetres", f"q{joint + 1}_mm", metres, "table" if provenance == "file" else provenance
-            )
+            remedy = _ask_about("millimetres", f"q{joint + 1}_mm", metres, given_as)
         elif degrees or (table is not None and table.converts(f"q{joint + 1}_rad")):
-            remedy = FIND_UNIT if provenance == "file" else "check the unit"
+            remedy = unit_remedy
         return f"{recording.source}: " + ("joint_position" if provenance == "arrays" else f"column {name}"), remedy
 
     if joint_limits is not None:
@@ -563,11 +565,10 @@ def check_scale(
         names = [spelling.get(name, name) for name in name_columns("position")]
         place = "position" if provenance == "arrays" else f"columns {' '.join(names)}"
         remedy = _ask_about("millimetres", "x_mm y_mm z_mm", "metres: position / 1000", provenance)
-        check = FIND_UNIT if provenance == "file" else "check the unit"
         converted = millimetres or (table is not None and table.converts("x_m"))
         raise InputError(
             f"{recording.source}: {place}: the positions lie {distance:.4g} m {origin} (median) while the arm reaches "
-            f"{reach:.3g} m; {check if converted else remedy}"
+            f"{reach:.3g} m; {unit_remedy if converted else remedy}"
         )
 
 
@@ -715,7 +716,7 @@ def _kind_of(recording: Recording) -> str:
 
 
 def _has_stations(recording: Recording) -> bool:
-    """Whether further files of such a recording are measured in frames of their own."""
+    """Tells whether further files of such a recording are measured in frames of their own."""
     return recording.position is not None and recording.settings.pose_frame != "base"
 
 

@@ -9,15 +9,12 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.recordings.alignment import median_distance
 from lite6jax.recordings.columns import sizes
 from lite6jax.recordings.columns.column import units_of
 from lite6jax.recordings.columns.names import list_points, unit_of
-
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
 
 FEWEST_POINTS = 3
 _RIGID = 0.02
@@ -42,7 +39,7 @@ class RigidPose(NamedTuple):
         outlying: rows whose points show another shape.
     """
 
-    rows: Flags
+    rows: Mask
     position: Array
     quaternion: Array
     misfit: float
@@ -52,7 +49,7 @@ class RigidPose(NamedTuple):
 
     @property
     def position_noise(self) -> float:
-        """Of an axis, in the unit of the points: of their noise, six of three numbers each went into the pose."""
+        """Noise of an axis, in the unit of the points: six of their numbers, three each, went into the pose."""
         return self.misfit / np.sqrt(3 * self.points - 6)
 
     @property

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, joint_unit
+from lite6jax.array_types import Array, Mask
 from lite6jax.errors import InputError
+from lite6jax.formatting import shortened
 from lite6jax.recordings.columns.column import PLACE, QUATERNION, spelled
 from lite6jax.recordings.columns.names import UR_JOINTS
 from lite6jax.recordings.streams import hold, join, said_of, said_of_commands
-
-Array = NDArray[np.floating]
 
 JOINT_STATE = "sensor_msgs/JointState"
 POSE_STAMPED = "geometry_msgs/PoseStamped"
@@ -58,7 +58,7 @@ class ArmJoints(NamedTuple):
 
     @classmethod
     def of(cls, arm: "Arm | ArmJoints | None") -> "ArmJoints":
-        """Of an arm, or of none; these as they are."""
+        """Takes the joints of an arm, or of none; these as they are."""
         if isinstance(arm, Arm):
             return cls(arm.dof, arm.sliding, arm.joint_names)
         return cls() if arm is None else arm
@@ -83,7 +83,7 @@ class _Topic(NamedTuple):
         return self.topic + (f":{chosen}" if chosen else "")
 
     def names(self, quantity: str) -> bool:
-        """Whether the topic's name says that its numbers are positions or velocities."""
+        """Tells whether the topic's name says that its numbers are positions or velocities."""
         return _IN_NAMES[quantity].search(self.topic) is not None
 
 
@@ -294,12 +294,12 @@ def _commands_among(
 
 
 def _topics_of(types: Mapping[str, str]) -> str:
-    shown = _listed([f"{topic} ({kind or 'no type'})" for topic, kind in sorted(types.items())], " and {} more")
+    shown = shortened([f"{topic} ({kind or 'no type'})" for topic, kind in sorted(types.items())], _SHOWN)
     return f"it has {shown}" if types else "it has no topics at all"
 
 
-def _listed(parts: Sequence[str], more: str = ", and {} more") -> str:
-    return ", ".join(parts[:_SHOWN]) + (more.format(len(parts) - _SHOWN) if len(parts) > _SHOWN else "")
+def _listed(parts: Sequence[str]) -> str:
+    return ", ".join(parts[:_SHOWN]) + (f", and {len(parts) - _SHOWN} more" if len(parts) > _SHOWN else "")
 
 
 def _series(path: Path, chosen: _Topic, messages: list[tuple[Any, int, int]]) -> _Series:
@@ -373,7 +373,7 @@ def _commanded(message: Any) -> _Joints:
 
 
 def _commanded_quantity(path: Path, chosen: _Topic, messages: Sequence[_Joints]) -> str:
-    """Whether commands are positions or velocities: as the topic is named, or as their messages or its name say.
+    """What commands are, positions or velocities: as the topic is named, or as their messages or its name say.
 
     Raises:
         InputError: they may be either.
@@ -538,7 +538,7 @@ def _ordered(joint_names: Sequence[str], of_arm: ArmJoints) -> tuple[list[str], 
 
 def _at_poses(
     path: Path, stamp: NDArray[np.int64], columns: Mapping[str, Array], at: NDArray[np.int64], notes: list[str]
-) -> tuple[NDArray[np.bool_], dict[str, Array]]:
+) -> tuple[Mask, dict[str, Array]]:
     """Which poses have joint states around them, and the joints' columns there."""
     if len(stamp) < 2:
         raise InputError(f"{path}: has {len(stamp)} joint states at different times; record at least 2")

@@ -43,6 +43,15 @@ def unwrap(joint_position: Float[np.ndarray, "sample joint"]) -> Float[np.ndarra
     return np.where(smooth, unwrapped, joint_position)
 
 
+def interpolate_columns(
+    at: Float[np.ndarray, " instant"],
+    time: Float[np.ndarray, " sample"],
+    rows: Float[np.ndarray, "sample column"],
+) -> Float[np.ndarray, "instant column"]:
+    """Each column of rows at other times, on lines between its samples; beyond the ends the last ones."""
+    return np.stack([np.interp(at, time, column) for column in rows.T], 1)
+
+
 def contiguous_blocks(samples: int, count: int) -> list[Bool[np.ndarray, " sample"]]:
     """`count` masks, each a block of neighbouring samples; together they cover every sample once."""
     block = np.arange(samples) * count // samples
@@ -52,7 +61,7 @@ def contiguous_blocks(samples: int, count: int) -> list[Bool[np.ndarray, " sampl
 def inferred_motion(
     time: Float[np.ndarray, " sample"] | None, velocity: Float[np.ndarray, "sample joint"] | None
 ) -> tuple[Motion, str]:
-    """Whether the arm stood still at each row, from velocities or else from the time step, and the reason in words."""
+    """Tells whether the arm stood still, from velocities or else from the time step, with the reason in words."""
     if velocity is not None:
         moving = np.mean(np.nanmax(np.abs(velocity), axis=1, initial=0.0) > STANDSTILL_RAD_PER_S)
         return "trajectory" if moving > MOVING_SHARE else "static", f"the joints move in {moving:.0%} of the rows"

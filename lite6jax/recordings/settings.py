@@ -130,7 +130,7 @@ class BoardSettings(_Record, frozen=True):
 
     @property
     def points(self) -> tuple[Point, ...]:
-        """Of each corner, m in the board's frame."""
+        """The points of each corner, m in the board's frame."""
         count = self.columns * self.rows
         return tuple((i % self.columns * self.square_m, i // self.columns * self.square_m, 0.0) for i in range(count))
 
@@ -289,7 +289,7 @@ class RecordingSettings:
 
     @property
     def arm_is_file(self) -> bool:
-        """Whether `arm` is the path of a description, not the name of a bundled arm."""
+        """Tells whether `arm` is the path of a description, not the name of a bundled arm."""
         arm = self.arm or ""
         return "/" in arm or "\\" in arm or Path(arm.partition("#")[0]).suffix.lower() in suffixes.ARM_FILES
 

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
 from lite6jax.recordings.sequence import differentiate, run_segments, unwrap
 
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
 Method = Literal["linearly", "by cubics", "nearest"]
 
 LONGEST_GAP = 2.0
@@ -42,7 +41,7 @@ class Joined(NamedTuple):
         resolved: whether the joint states follow the motion; else what is interpolated means nothing.
     """
 
-    usable: Flags
+    usable: Mask
     columns: dict[str, Array]
     method: Method
     outside: int
@@ -69,7 +68,7 @@ class JointStream:
 
     time: Array
     position: Array
-    near: Flags
+    near: Mask
     step: float
     method: Method
     error: float
@@ -94,14 +93,14 @@ class JointStream:
 
     @property
     def resolved(self) -> bool:
-        """Whether the joint states follow a motion; false of captures, between which the joints move far."""
+        """Tells whether the joint states follow a motion; false of captures, between which the joints move far."""
         with np.errstate(invalid="ignore", over="ignore"):
             change = np.sqrt(np.mean(np.diff(self.position, axis=0) ** 2))
             width = np.ptp(self.position, axis=0).max()
         # beside a fine log, rounding and a jump between runs are errors as large as its steps, but not as its motion
         return not (self.error > 0.3 * change and self.error > 0.01 * width)
 
-    def known(self, at: Array) -> Flags:
+    def known(self, at: Array) -> Mask:
         """`(pose,)`, where there are joint states near enough."""
         before = self._before(at)
         exact = (at == self.time[before]) | (at == self.time[before + 1])
@@ -117,7 +116,7 @@ class JointStream:
         """`(pose, joint)`; where no joint states are near, what a straight line or a cubic gives all the same."""
         return _between(self.time, self.position, at, self.slopes)
 
-    def _before(self, at: Array) -> NDArray[np.integer]:
+    def _before(self, at: Array) -> Integers:
         return np.clip(np.searchsorted(self.time, at, side="right") - 1, 0, len(self.time) - 2)
 
 
@@ -145,7 +144,7 @@ def join(time: Array, columns: Mapping[str, Array], joints: Sequence[str], at: A
     return Joined(usable, at_poses, stream.method, outside, wide, gap, stream.error, stream.resolved)
 
 
-def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.integer]] | None:
+def _captures(time: Array, at: Array, step: float) -> tuple[Mask, Integers] | None:
     """Which poses have a capture of joints of their own, and which; None where most have none.
 
     It stands beside the pose, within a tenth of the median step; or each pose has another one, all of them before the
@@ -167,7 +166,7 @@ def _captures(time: Array, at: Array, step: float) -> tuple[Flags, NDArray[np.in
 
 def merge(
     columns: Mapping[str, Array], joints: Sequence[str], places: Sequence[str], time: str, notes: list[str]
-) -> tuple[dict[str, Array], NDArray[np.integer]] | None:
+) -> tuple[dict[str, Array], Integers] | None:
     """A table at the rows of its poses, and these from 0, where they have no joints; None where nothing is joined.
 
     Args:
@@ -222,8 +221,8 @@ class Held(NamedTuple):
         late: those over `LONGEST_GAP` median steps after the last, when none was logged any more.
     """
 
-    usable: Flags
-    sent: NDArray[np.integer]
+    usable: Mask
+    sent: Integers
     early: int
     late: int
 
@@ -248,7 +247,7 @@ def hold(time: Array, at: Array, run: Array | None = None, run_at: Array | None 
 
 def hold_commands(
     columns: Mapping[str, Array], joints: Sequence[str], commands: Sequence[str], time: str, notes: list[str]
-) -> tuple[dict[str, Array], NDArray[np.integer]] | None:
+) -> tuple[dict[str, Array], Integers] | None:
     """A table at the rows of its joint states, and these from 0, where they have no commands; None where most have.
 
     Args:
@@ -334,7 +333,7 @@ def _clock_of_runs(columns: Mapping[str, Array], time: str) -> Array:
     return clock + run_segments(np.unique(run, return_inverse=True)[1]) * (10 * width + 1.0)
 
 
-def in_order(clock: Array, present: ArrayLike) -> NDArray[np.integer]:
+def in_order(clock: Array, present: ArrayLike) -> Integers:
     """Rows in order of time, of those at one time the first."""
     rows = np.flatnonzero(np.asarray(present) & np.isfinite(clock))
     return rows[np.unique(clock[rows], return_index=True)[1]]
@@ -356,12 +355,12 @@ def _between(time: Array, values: Array, at: Array, slopes: Array | None = None)
         return np.where((share > 0) & (share < 1), line + inside, line)
 
 
-def _slopes(time: Array, q: Array, joined: Flags) -> Array:
+def _slopes(time: Array, q: Array, joined: Mask) -> Array:
     """`(state, joint)` per second; zero where the joints of a state are not finite, and so is what lies around it."""
     return np.nan_to_num(differentiate(q, time, np.concatenate([[0], np.cumsum(~joined)])))
 
 
-def _method(time: Array, q: Array, joined: Flags) -> tuple[Method, float]:
+def _method(time: Array, q: Array, joined: Mask) -> tuple[Method, float]:
     """What finds every other joint state more exactly from those around it, and its RMS error."""
     left_out = np.arange(1, len(time) - 1, 2)
     finite = np.isfinite(q.sum(axis=1))

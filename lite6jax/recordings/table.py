@@ -121,7 +121,7 @@ class ClockTimes(NamedTuple):
 
 
 def like_a_clock(text: str) -> bool:
-    """Whether text that is no number may be a date or a time of day, in whatever form."""
+    """Tells whether text that is no number may be a date or a time of day, in whatever form."""
     return _LIKE_A_CLOCK.search(text) is not None
 
 
@@ -168,7 +168,7 @@ def _parse_moment(text: str) -> tuple[int, bool] | None:
 
 
 def is_text(values: Values) -> bool:
-    """Whether a column holds text."""
+    """Tells whether a column holds text."""
     if isinstance(values, str):
         return False
     kind = values.type
@@ -235,7 +235,7 @@ class Table(NamedTuple):
         return {name: column.name for name, column in self.columns.items()}
 
     def converts(self, name: str) -> bool:
-        """Whether the column of this name in SI units is in another unit, and says so."""
+        """Tells whether the column of this name in SI units is in another unit, and says so."""
         return name in self.columns and self.columns[name].divisor != 1
 
 

@@ -149,7 +149,7 @@ def _continue_lists(names: tuple[str, ...], fields: int) -> tuple[str, ...]:
 
 
 def _ends_a_list(names: Sequence[str], fields: int) -> bool:
-    """Whether rows of so many fields lack whole elements at the end of lists, as messages of unequal length do."""
+    """Tells whether rows of so many fields lack whole elements at the end of lists: messages of unequal length."""
     present = {_element(name) for name in names[:fields]}
     lacking = Counter(_element(name) for name in names[fields:])
     stems = {element[0] for element in present if element}
@@ -182,7 +182,7 @@ def _block(lines: Sequence[str], delimiter: str) -> tuple[str, list[Row], int, f
 
 
 def _is_even(block: tuple[str, list[Row], int, float]) -> bool:
-    """Whether the rows of a block, and the names above them, are all there is, with two numbers or more in each row."""
+    """Tells whether a block's rows and the names above them are all there is, with two numbers or more in each row."""
     _, rows, width, _ = block
     filled = [[*map(_kind, row)] for row in rows if any(row)]
     numbers = [kinds.count("number") + kinds.count("integer") for kinds in filled[1:] if len(kinds) == width]
@@ -345,7 +345,7 @@ def _with_heads(names: Sequence[str]) -> list[str]:
 
 
 def _of_units(row: Iterable[str]) -> bool:
-    """Whether all that a row holds are units."""
+    """Tells whether all that a row holds are units."""
     any_unit = False
     for cell in filter(None, row):
         unit = cell.strip(_BRACKETS)

@@ -11,7 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike, NDArray
 
+from lite6jax.array_types import Integers
 from lite6jax.errors import InputError
+from lite6jax.formatting import shortened
 from lite6jax.recordings.columns.column import OF_ARRAY, QUANTITIES, name_columns
 from lite6jax.recordings.columns.sizes import without_marks
 
@@ -61,7 +63,7 @@ def require_near(
     q: NDArray[np.float64],
     joint_limits: ArrayLike | None,
     describe: Callable[[int], tuple[str, str]],
-    row: NDArray[np.integer] | None = None,
+    row: Integers | None = None,
     sliding: Iterable[int] = (),
 ) -> None:
     """Refuses joint positions so far outside the limits that they must be degrees, or millimetres.
@@ -160,8 +162,7 @@ def blank_implausible(arrays: dict[str, Any], source: str, spelling: Mapping[str
             f"{source}: {len(rows)} of {samples} rows have numbers beyond any arm or sensor ({first}); check the unit "
             "and the column"
         )
-    more = f" and {len(rows) - _SHOWN} more" if len(rows) > _SHOWN else ""
-    listed = f"; rows {', '.join(map(str, rows[:_SHOWN]))}{more}" if len(rows) > 1 else ""
+    listed = f"; rows {shortened(rows.tolist(), _SHOWN)}" if len(rows) > 1 else ""
     return [f"numbers beyond any arm or sensor count as missing: {first}{listed}"]
 
 

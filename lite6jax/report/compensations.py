@@ -56,7 +56,7 @@ def corrected_columns(document: Mapping[str, Any], written: bool = False) -> str
 
 
 def _is_missing_zero(entry: Mapping[str, Any], document: Mapping[str, Any]) -> bool:
-    """Whether a fault is a zero that is off, and the model does not have it: earlier versions did not write it."""
+    """Tells whether a fault is a zero that is off, and the model lacks it: earlier versions did not write it."""
     of_all_rows = entry["fault"] == "joint_turns" and "added_rad" in entry["numbers"]
     return of_all_rows and "joint_zero_rad" not in document["model"]
 

@@ -301,7 +301,7 @@ def spectra(diagnosis: TorqueDiagnosis, title: str) -> Figure:
 
 
 def _exerted(diagnosis: TorqueDiagnosis) -> list[tuple[str, str]]:
-    """Of each joint what its motor exerts, and the unit."""
+    """What the motor of each joint exerts, and the unit."""
     return [(_EXERTED[unit], unit) for unit in torque_units(diagnosis.problem.data.arm.sliding, diagnosis.problem.rows)]
 
 

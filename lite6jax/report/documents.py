@@ -120,7 +120,7 @@ def document(result: Any) -> dict[str, Any]:
 
 
 def has_document(kind: type) -> bool:
-    """Whether results of a class have a document."""
+    """Tells whether results of a class have a document."""
     return kind in _FIELDS or kind is Identification
 
 

@@ -55,6 +55,19 @@ def fault_statement(fault: DataFault) -> str:
     return f"{fault_name(fault.code)}."
 
 
+def with_fault_statements(document: Mapping[str, Any]) -> dict[str, Any]:
+    """A document with a `statement` for each fault of the data that was found or ruled out."""
+    stated = dict(document)
+    for key, statement in (
+        ("data_faults", fault_statement),
+        ("ruled_out", lambda fault: ruled_out_statements([fault])[0]),
+    ):
+        faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
+        pairs = zip(document[key], map(statement, faults), strict=True)
+        stated[key] = [{**entry, "statement": sentence} for entry, sentence in pairs]
+    return stated
+
+
 def fault_alternative(entry: Mapping[str, Any]) -> str:
     """A fault that may be there in place of a finding, by the entry of `confusable_with`: a phrase."""
     return fill(NAMES[entry["fault"]]["alternative"], entry["numbers"])
@@ -87,7 +100,7 @@ def ruled_out_statements(faults: Iterable[DataFault]) -> list[str]:
 
 
 def is_granted(fault: DataFault) -> bool:
-    """Whether a fault that was ruled out says how far a fitted arm is from the nominal one."""
+    """Tells whether a fault that was ruled out says how far a fitted arm is from the nominal one."""
     return fault.code == "arm_deviation" and fault.numbers.get("reason") == "granted"
 
 

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
-from numpy.typing import NDArray
 
 from lite6jax import storage
+from lite6jax.array_types import Array
 from lite6jax.calibration.fleet import Comparison
 from lite6jax.calibration.solution import Solution
 from lite6jax.controller.sdk import GATE_M, KinematicsCheck
@@ -27,7 +27,6 @@ if TYPE_CHECKING:  # what studies take, and fits do not
     from lite6jax.design.poses import DiscriminationPlan, Plan
     from lite6jax.design.torques import TorquePlan
 
-Array = NDArray[np.floating]
 
 # M. Okabe, K. Ito, Color Universal Design, 2002: distinguishable with colour blindness and in grey
 BEFORE = "#D55E00"

@@ -17,6 +17,7 @@ from lite6jax.domains.pose.joining import JoinedFiles, SolvedPairs, WithJoints
 from lite6jax.domains.pose.screening.thresholds import SUSPECT_REACH
 from lite6jax.domains.tracking.joining import JoinedCommands
 from lite6jax.errors import command_line
+from lite6jax.formatting import shortened
 from lite6jax.recordings.columns.cells import NamedColumns, Points
 from lite6jax.recordings.columns.column import (
     COMMANDS,
@@ -172,7 +173,7 @@ def _order(columns: Sequence[str]) -> str:
 
 
 def _commanded(block: Block) -> bool:
-    """Whether joint columns are taken for measured ones that by name were commanded or computed."""
+    """Tells whether joint columns are taken for measured ones that by name were commanded or computed."""
     return block.rank == 2 and bool(block.joints) and block.kind not in COMMANDS
 
 
@@ -265,10 +266,8 @@ def _columns(names: Sequence[str]) -> str:
     return f"{sentences.in_line(names[0])} … {sentences.in_line(names[-1])}"
 
 
-def _listed(names: Sequence[str], limit: int = 8) -> str:
-    return ", ".join(repr(_ending(name)) for name in names[:limit]) + (
-        f" and {len(names) - limit} more" if len(names) > limit else ""
-    )
+def _listed(names: Sequence[str]) -> str:
+    return shortened([repr(_ending(name)) for name in names], _SHOWN)
 
 
 def _ending(name: str) -> str:
@@ -364,7 +363,7 @@ def describe_joined_files(joined_files: JoinedFiles, joints: str, poses: str) ->
     if joined_files.pairing is not None:
         lines.append(sentences.joined_by_order(joined_files.pairing, joined_files, joints, poses))
     if joined_files.names is not None:
-        first_alone, second_alone = (_named(names) for names in joined_files.names.alone)
+        first_alone, second_alone = (shortened(names, _SHOWN) for names in joined_files.names.alone)
         columns = joined_files.names.columns
         lines.append(sentences.joined_by_names(columns, (first_alone, second_alone), joined_files.error, joints, poses))
     if joined_files.joined is not None:
@@ -381,12 +380,6 @@ def describe_joined_commands(joined: JoinedCommands, states: int, names: tuple[s
     return [sentences.joined_commands(joined.commands, states, names), *joined.dropped]
 
 
-def _named(names: Sequence[str]) -> str:
-    """Some names of rows, and how many more there are."""
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + more
-
-
 def describe_solved_joints(solved: WithJoints, arm: str) -> list[str]:
     """How joints were found from poses."""
     reached = solved.path.reached
@@ -401,7 +394,7 @@ def describe_pairs(pairs: SolvedPairs, arm: str) -> list[str]:
 
 def describe_named_columns(named_columns: NamedColumns) -> list[str]:
     """Whose numbers cells name."""
-    words = _named(named_columns.words)
+    words = shortened(named_columns.words, _SHOWN)
     return [sentences.named_columns(_columns(named_columns.by), words, bool(named_columns.in_file))]
 
 
@@ -410,7 +403,8 @@ def describe_points(points: Points, measured_point: str) -> list[str]:
     counts = dict(zip(points.labels, points.counts, strict=True))
     states = len(next(iter(points.columns.values())))
     incomplete = not measured_point and min(points.counts) < states
-    lines = [sentences.points_of_states(points.by, _named(points.labels), len(points.labels), states, incomplete)]
+    labels = shortened(points.labels, _SHOWN)
+    lines = [sentences.points_of_states(points.by, labels, len(points.labels), states, incomplete)]
     if measured_point:
         lines.append(sentences.one_point_read(measured_point, counts.get(measured_point)))
     return lines

@@ -16,6 +16,7 @@ from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import VARIANTS, maker_of
 from lite6jax.arms.files import Conversion
 from lite6jax.calibration.quality import Result
+from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.fleet import FLEET
 from lite6jax.fleet.diagnoses import DIAGNOSED
 from lite6jax.fleet.folder import has_failed
@@ -179,12 +180,8 @@ def _with_file(file: str, message: str) -> str:
 # ------------------------------------------------------------------ fleets
 
 
-_NEAR = 6.0
-"""Log-likelihood within which effects are not distinguished: `CLOSE` of the engine, which a listing does not import."""
-
-
 def is_of_fleet(document: Any) -> bool:
-    """Whether a document says that it is that of a fleet."""
+    """Tells whether a document says that it is that of a fleet."""
     return isinstance(document, dict) and document.get("schema") == FLEET
 
 
@@ -232,5 +229,5 @@ def _remarks(effect: Document) -> Iterator[str]:
     for arm in effect["arms"]:
         if arm["outlier_p_value"] is not None:
             yield sentences.differing_arm(effect, arm)
-    if near := [_title(rival) for rival in effect["rivals"] if rival["log_likelihood_gap"] < _NEAR]:
+    if near := [_title(rival) for rival in effect["rivals"] if rival["log_likelihood_gap"] < CLOSE]:
         yield f"Not distinguished from {', '.join(near)}."

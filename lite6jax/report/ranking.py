@@ -169,6 +169,6 @@ def steps(document: Document, files: Files) -> list[Step]:
 
 
 def _known(document: Document, effects_option: Sequence[str]) -> bool:
-    """Whether the model can be read, which effects of the user's own take their file for."""
+    """Tells whether the model can be read, which effects of the user's own take their file for."""
     catalogue = DOMAINS[domain_of(document)].document.catalogue
     return bool(effects_option) or all(finding["effect"] in catalogue for finding in document["findings"])

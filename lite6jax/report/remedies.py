@@ -134,7 +134,7 @@ def distinct_rivals(finding: Entry) -> list[Entry]:
 
 
 def wanders(entry: Entry) -> bool:
-    """Whether an effect is one that nothing recorded drives."""
+    """Tells whether an effect is one that nothing recorded drives."""
     return entry["effect"] == "unnamed" and entry.get("driver") == "none"
 
 

@@ -24,9 +24,8 @@ from lite6jax.formatting import (
     rounded,
     significant,
 )
-from lite6jax.recordings.fault import DataFault
 from lite6jax.report import ranking
-from lite6jax.report.faults import fault_alternative, fault_distinction, fault_statement, ruled_out_statements
+from lite6jax.report.faults import fault_alternative, fault_distinction, with_fault_statements
 from lite6jax.report.remedies import (
     alternatives_of,
     component,
@@ -65,15 +64,8 @@ def with_statements(document: Document) -> dict[str, Any]:
     own = own_report(document)
     if own is not None:
         return own.with_statements(document)
-    stated = dict(document)
+    stated = with_fault_statements(document)
     detailed = ranking.detailed(document)
-    for key, statement in (
-        ("data_faults", fault_statement),
-        ("ruled_out", lambda fault: ruled_out_statements([fault])[0]),
-    ):
-        faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
-        pairs = zip(document[key], map(statement, faults), strict=True)
-        stated[key] = [{**entry, "statement": sentence} for entry, sentence in pairs]
     stated["findings"] = [
         {**finding, "statement": finding_statement(detailed_finding, detailed)}
         for finding, detailed_finding in zip(document["findings"], detailed, strict=True)
@@ -319,7 +311,7 @@ def what_to_record(document: Document) -> list[str]:
 
 
 def _of_one_wave(finding: Entry, rival: Entry) -> bool:
-    """Whether two effects are orders of one joint that these positions do not tell apart."""
+    """Tells whether two effects are orders of one joint that these positions do not tell apart."""
     return "order" in rival and (finding["effect"], finding["site"]) == (rival["effect"], rival["site"])
 
 

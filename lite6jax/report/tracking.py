@@ -14,8 +14,7 @@ from lite6jax.domains.base import DomainName
 from lite6jax.domains.tracking.words import TRACKING_WORDS
 from lite6jax.errors import command_line
 from lite6jax.formatting import capital, multiple, number, quantity, row_ranges, significant
-from lite6jax.recordings.fault import DataFault
-from lite6jax.report.faults import fault_name, fault_statement, ruled_out_statements
+from lite6jax.report.faults import fault_name, with_fault_statements
 from lite6jax.report.remedies import REMEDIES, distinct_rivals, effect_name, effect_title, place_of
 from lite6jax.report.sentences import tracking as sentences
 from lite6jax.report.words import fill, read_texts
@@ -63,14 +62,7 @@ _REVERSAL = {"dead_band", "coulomb_friction", "stribeck_friction", "load_frictio
 
 def with_statements(document: Document) -> dict[str, Any]:
     """The document with a `statement` for each finding and each data fault."""
-    stated = dict(document)
-    for key, statement in (
-        ("data_faults", fault_statement),
-        ("ruled_out", lambda fault: ruled_out_statements([fault])[0]),
-    ):
-        faults = [DataFault(entry["fault"], tuple(entry["rows"]), entry["numbers"]) for entry in document[key]]
-        pairs = zip(document[key], map(statement, faults), strict=True)
-        stated[key] = [{**entry, "statement": sentence} for entry, sentence in pairs]
+    stated = with_fault_statements(document)
     stated["findings"] = [{**finding, "statement": finding_statement(finding)} for finding in document["findings"]]
     return stated
 

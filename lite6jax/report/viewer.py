@@ -22,6 +22,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array, Integers
 from lite6jax.design.candidates import Capsule, chain_capsules, link_frames
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.predict import predict
@@ -39,7 +40,6 @@ from lite6jax.report.figures import AFTER, BEFORE
 if TYPE_CHECKING:
     from viser import ViserServer
 
-Array = NDArray[np.floating]
 Document = Mapping[str, Any]
 
 MEDIAN_ARROW = 0.05
@@ -92,12 +92,12 @@ class PoseErrors:
         return 1.0
 
     @cached_property
-    def shown(self) -> NDArray[np.integer]:
+    def shown(self) -> Integers:
         """The samples that have an arrow."""
         predicted_samples = np.flatnonzero(np.isfinite(self.length))
         return predicted_samples[spread_rows(len(predicted_samples), MOST_ARROWS)]
 
-    def arrows(self, scale: float, samples: "NDArray[np.integer] | Sequence[int] | None" = None) -> Array:
+    def arrows(self, scale: float, samples: "Integers | Sequence[int] | None" = None) -> Array:
         """Ends `(arrow, 2, 3)` m, from predicted to measured, of some samples or of `shown`."""
         rows = self.shown if samples is None else samples
         start = self.predicted[rows, :3, 3]
@@ -157,7 +157,7 @@ class Scene:
     findings: tuple[Document, ...]
     capsules: tuple[Capsule, ...]
     frames: Array
-    row: NDArray[np.integer]
+    row: Integers
     time: Array | None
     moving: bool
     orientation: Array | None = None
@@ -300,7 +300,7 @@ def _scene(
 
 
 def _parts(site: str, links: Sequence[int]) -> tuple[str, ...]:
-    """Of a site, what is drawn of it; a link without length is the joint before it."""
+    """What is drawn of a site; a link without length is the joint before it."""
     if site == "links":
         return tuple(f"link{link}" for link in links if link)
     if site in ("tool", "payload"):

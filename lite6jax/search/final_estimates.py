@@ -48,7 +48,7 @@ def final_estimates(problem: Problem, state: State, options: EngineOptions) -> S
     shares = np.divide(np.diagonal(of_inputs), variance, out=np.zeros_like(variance), where=variance > 0)
     tested = tuple(
         replace(test, term=term, chosen_std=std, input_share=float(np.clip(np.max(shares[part]), 0.0, 1.0)))
-        for test, term, std, part in zip(state.tested, fitted.terms.terms, stds, fitted.terms.slices, strict=True)
+        for test, (term, part), std in zip(state.tested, fitted.terms.pairs, stds, strict=True)
     )
     return replace(state, fit=fitted, tested=tested)
 
@@ -103,7 +103,7 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
     """The fit with exact derivatives, and with the chosen numbers of some terms free."""
     terms = []
     values = []
-    for term, part, is_free in zip(fitted.terms.terms, fitted.terms.slices, free, strict=True):
+    for (term, part), is_free in zip(fitted.terms.pairs, free, strict=True):
         terms.append(term.released() if is_free else term)
         values.append([*fitted.values[part], *([term.chosen] if is_free else [])])
     start = join(values)
@@ -112,7 +112,7 @@ def _released(problem: Problem, fitted: Fit, free: list[bool], options: EngineOp
 
 
 def _with_exact_derivatives(problem: Problem, fitted: Fit, options: EngineOptions) -> bool:
-    """Whether derivatives are taken at the estimate.
+    """Tells whether derivatives are taken at the estimate.
 
     Differences by each of hundreds of coefficients would take minutes, for the last per cent of their uncertainty.
     """
@@ -120,7 +120,7 @@ def _with_exact_derivatives(problem: Problem, fitted: Fit, options: EngineOption
 
 
 def _is_whole(released: Fit, k: int, fitted: Fit) -> bool:
-    """Whether a chosen number was whole, and its estimate is within `_WHOLE_WITHIN` standard deviations of that."""
+    """Tells whether a chosen number was whole, and its estimate is within `_WHOLE_WITHIN` standard deviations of it."""
     chosen = fitted.terms.terms[k].chosen
     last = released.terms.slices[k].stop - 1
     if chosen is None or chosen % 1:
@@ -129,7 +129,7 @@ def _is_whole(released: Fit, k: int, fitted: Fit) -> bool:
 
 
 def _is_beyond(problem: Problem, released: Fit, k: int) -> bool:
-    """Whether a number that was chosen leaves its limits where it is fitted: there the data say nothing of it."""
+    """Tells whether a number that was chosen leaves its limits where it is fitted: there the data say nothing of it."""
     lower, upper = problem.limits(released.terms.terms[k])[-1]
     return not lower <= released.values[released.terms.slices[k].stop - 1] <= upper
 

@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
 
+from lite6jax.array_types import Array, Integers
 from lite6jax.estimation.evidence import log_orders_of
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest
 from lite6jax.estimation.terms import Term
 from lite6jax.estimation.thresholds import EXACT_BELOW, LOWEST_ORDER
-
-Array = NDArray[np.floating]
 
 _OTHER_ORDERS = 3
 """Other orders that are reported beside one that explains no more; they fit on a screen."""
@@ -101,9 +100,7 @@ def modulated_spectrum(test: ScoreTest, family: PeriodicFamily, sizes: Array) ->
     return at * step, powers[0] + powers[1:]
 
 
-def _histogram(
-    test: ScoreTest, family: PeriodicFamily, width: float
-) -> tuple[NDArray[np.integer], int, float, NDArray[np.integer]]:
+def _histogram(test: ScoreTest, family: PeriodicFamily, width: float) -> tuple[Integers, int, float, Integers]:
     """Bins of this width, rad, of a family's angle, whose Fourier transform has the orders that are searched.
 
     Returns:
@@ -177,7 +174,7 @@ def as_likely(test: ScoreTest, family: PeriodicFamily, order: float, within: flo
     return near[:limit]
 
 
-def _peaks(test: ScoreTest, family: PeriodicFamily, orders: Array, gains: Array) -> NDArray[np.integer]:
+def _peaks(test: ScoreTest, family: PeriodicFamily, orders: Array, gains: Array) -> Integers:
     """Which orders explain more than their neighbours, the likeliest first."""
     around = np.concatenate([[0.0], gains, [0.0]])
     peaks = np.flatnonzero((gains > 0) & (gains >= around[:-2]) & (gains >= around[2:]))
@@ -192,7 +189,7 @@ def _refined(test: ScoreTest, family: PeriodicFamily, order: float, step: float)
     return _best(test, family, np.array([order, max(round(order), 1)]))
 
 
-def _transform(place: NDArray[np.integer], values: Array, length: int) -> NDArray[np.complexfloating]:
+def _transform(place: Integers, values: Array, length: int) -> NDArray[np.complexfloating]:
     return np.conj(np.fft.rfft(np.bincount(place, values), length)).astype(complex)
 
 

@@ -5,15 +5,13 @@ from dataclasses import dataclass, field, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.problem import Problem
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.whitening import Whitened
-
-Array = NDArray[np.floating]
 
 
 @final
@@ -120,7 +118,7 @@ def refitted(
         nuisance = state.baseline.nuisance_about(problem)
         bare = fit(problem, terms, options, None, nuisance, f.training, f.noise, whitened=whitened)
         return replace(state, fit=bare, tested=())
-    present = {term: f.values[part] for term, part in zip(f.terms.terms, f.terms.slices, strict=True)}
+    present = {term: f.values[part] for term, part in f.terms.pairs}
     values_by_term = {**(starts or {}), **present}
     start = join([values_by_term.get(term, np.zeros(term.size)) for term in terms.terms])
     again = fit(problem, terms, options, start, f.nuisance, f.training, f.noise, whitened=whitened)

@@ -11,17 +11,15 @@ from typing import Any, ClassVar, Self, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.sensors.camera import Lens, Mounted, linearise_corners, project
 from lite6jax.sensors.kinds import Kind
 from lite6jax.sensors.points import Simulated, draw_point
 from lite6jax.sensors.pose import PoseReading
 from lite6jax.sensors.sensor import Point
-
-Array = NDArray[np.floating]
 
 BOARD = {"columns": 7, "rows": 5, "square_m": 0.02, "noise_m": 2e-5}
 """The usual board, as in a sidecar."""
@@ -115,7 +113,7 @@ class Camera(PoseReading, ABC):
 
     @property
     def lens(self) -> Lens:
-        """Of the usual camera."""
+        """The lens of the usual camera."""
         return Lens(np.array(PINHOLE), np.array(DISTORTION))
 
     @property

@@ -10,14 +10,12 @@ from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import rotation_exp
-from lite6jax.deferred import Array as DeviceArray
-from lite6jax.deferred import jax, jit, jnp
+from lite6jax.array_types import Array, Mask
+from lite6jax.deferred import JaxArray, jax, jit, jnp
 from lite6jax.levenberg_marquardt import Linearised, minimise
 
-Array = NDArray[np.floating]
 Mounted = Literal["fixed", "on_flange"]
 
 FEWEST_CORNERS = 6
@@ -71,7 +69,7 @@ class BoardPoses(NamedTuple):
         return self._replace(T=self.T[rows], whitener=self.whitener[rows], by_numbers=self.by_numbers[rows])  # type: ignore[index]
 
 
-def project(lens: Lens, points: Any) -> DeviceArray:
+def project(lens: Lens, points: Any) -> JaxArray:
     """The pixels `(…, 2)` of points `(…, 3)` in the camera's frame (OpenCV, calib3d, projectPoints)."""
     x = points[..., 0] / points[..., 2]
     y = points[..., 1] / points[..., 2]
@@ -84,7 +82,7 @@ def project(lens: Lens, points: Any) -> DeviceArray:
     return jnp.stack([fx * u + cx, fy * v + cy], -1)
 
 
-def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any) -> DeviceArray:
+def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any) -> JaxArray:
     """The pixels `(corner, 2)` of corners `(corner, 3)` at the pose `T` `(4, 4)` displaced by `twist` `(6,)`."""
     p = T[:3, 3] + twist[:3]
     R = T[:3, :3] @ rotation_exp(twist[3:])
@@ -94,13 +92,13 @@ def seen_corners(mounted: Mounted, lens: Lens, corners: Any, T: Any, twist: Any)
 @partial(jit, static_argnums=0)
 def linearise_corners(
     mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any, twist: Any
-) -> tuple[DeviceArray, DeviceArray]:
+) -> tuple[JaxArray, JaxArray]:
     """Residuals `(image, corner, 2)`, predicted less measured, and their slopes `(image, corner, 2, 6)` by the twist.
 
     They are zero where a corner was not seen. The poses `T` are displaced by the twist `(image, 6)`.
     """
 
-    def residual(twist: Any, T: Any, pixels: Any) -> DeviceArray:
+    def residual(twist: Any, T: Any, pixels: Any) -> JaxArray:
         missed = seen_corners(mounted, lens, corners, T, twist) - pixels
         return jnp.where(jnp.isfinite(pixels).all(1)[:, None], missed, 0.0)
 
@@ -108,10 +106,10 @@ def linearise_corners(
 
 
 @partial(jit, static_argnums=0)
-def _by_constants(mounted: Mounted, lens: Lens, corners: Any, T: Any) -> tuple[DeviceArray, DeviceArray]:
+def _by_constants(mounted: Mounted, lens: Lens, corners: Any, T: Any) -> tuple[JaxArray, JaxArray]:
     """How pixels change with the pinhole `(image, corner, 2, 4)` and with each corner's place `(…, 2, 3)`."""
 
-    def at(T: Any, pinhole: Any, shift: Any) -> DeviceArray:
+    def at(T: Any, pinhole: Any, shift: Any) -> JaxArray:
         return seen_corners(mounted, Lens(pinhole, lens.distortion), corners + shift, T, jnp.zeros(6))
 
     slopes = jax.vmap(jax.jacfwd(at, (1, 2)), (0, None, None))
@@ -205,7 +203,7 @@ def _constants(
     return np.concatenate(columns, 2), np.concatenate(prior)
 
 
-def _weights(r: Array, visible: NDArray[np.bool_]) -> tuple[Array, float]:
+def _weights(r: Array, visible: Mask) -> tuple[Array, float]:
     """`(image, corner)` by Student's t, zero where a corner was not seen, and the noise, px."""
     freedom = np.maximum(1 - 3 / np.maximum(visible.sum(1), 4), 0.1)[:, None]
     squares = np.sum(r**2, 2) / freedom
@@ -216,7 +214,7 @@ def _weights(r: Array, visible: NDArray[np.bool_]) -> tuple[Array, float]:
 @partial(jit, static_argnums=0, compiler_options=_QUICKLY_COMPILED)
 def _fit_poses(
     mounted: Mounted, lens: Lens, corners: Any, pixels: Any, T: Any, scale: Any, steps: Any
-) -> tuple[DeviceArray, ...]:
+) -> tuple[JaxArray, ...]:
     """The likeliest pose of each image after some steps from a start `(image, 4, 4)`; with no steps the start.
 
     Corners count by Student's t of a scale in pixels.
@@ -227,7 +225,7 @@ def _fit_poses(
     """
     freedom = _FREEDOM * scale**2
 
-    def linearise(twist: DeviceArray) -> Linearised:
+    def linearise(twist: JaxArray) -> Linearised:
         linearised = linearise_corners(mounted, lens, corners, pixels, T, twist.T)
         r, J = (jnp.moveaxis(part, 0, -1) for part in linearised)
         squares = jnp.sum(r**2, 1)

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
 from lite6jax.sensors.kinds import KINDS, Kind
 from lite6jax.sensors.sensor import OwnNumber, Point, Sensor
 
-Array = NDArray[np.floating]
 S_co = TypeVar("S_co", bound=Sensor, covariant=True)
 
 _STATIC = {"static": True}
@@ -81,7 +81,7 @@ class Declaration(NamedTuple):
 
     @property
     def whitener(self) -> Array:
-        """Of sensors of a point."""
+        """The whitener of sensors of a point."""
         return np.full(2, 1 / self.noise)
 
     def places(self, coordinates: Mapping[str, Any]) -> tuple[Array, tuple[bool, ...]]:
@@ -218,7 +218,7 @@ class PointSensor(Sensor):
         """The name of the place of each sample."""
         return [self.names[k] for k in self.group]
 
-    def nearest(self, tool: Array) -> NDArray[np.integer]:
+    def nearest(self, tool: Array) -> Integers:
         if not self.at.size:
             return np.zeros(len(tool), int)
         return np.argmin(np.sum((tool[:, None, :3, 3] - self.at.T) ** 2, 2), 1)
@@ -230,8 +230,8 @@ class PointSensor(Sensor):
         places = dict(zip(self.names, map(tuple, self.at.T.tolist()), strict=True)) if self.at.size else {}
         return super().to_dict() | {"places": places}
 
-    def _of_each(self, free: tuple[bool, ...], tool: Array) -> list[tuple[int, NDArray[np.bool_], Array]]:
-        """Of each place that is unknown its number, its samples, and there the tool's point `(sample, 3)`."""
+    def _of_each(self, free: tuple[bool, ...], tool: Array) -> list[tuple[int, Mask, Array]]:
+        """The number of each place that is unknown, its samples, and there the tool's point `(sample, 3)`."""
         selections = ((int(k), np.asarray(self.group) == k) for k in np.flatnonzero(free))
         return [(k, selected, tool[selected, :3, 3]) for k, selected in selections]
 
@@ -338,7 +338,7 @@ class Contact(PointSensor):
 
     @classmethod
     def _of_plates(cls, sockets: Array, group: Any, noise: float) -> Self:
-        """Of plates with two sockets each `(plate, 2, 3)`, whose distance is known."""
+        """Takes plates with two sockets each `(plate, 2, 3)`, whose distance is known."""
         names = tuple(f"plate{k + 1}_{end}" for k in range(len(sockets)) for end in "ab")
         count = len(names)
         rods = tuple(Rod(k, k + 1, SOCKETS_APART, SOCKETS_KNOWN) for k in range(0, count, 2))
@@ -463,7 +463,7 @@ class Plane(PointSensor):
 
     @classmethod
     def _of_plates(cls, centres: Array, group: Any, noise: float) -> Self:
-        """Of plates about centres `(plate, 3)`."""
+        """Takes plates about centres `(plate, 3)`."""
         count = len(centres)
         tilted = np.array(_NORMALS)[np.arange(count) % len(_NORMALS)].T
         names = tuple(f"plate{k + 1}" for k in range(count))
@@ -478,7 +478,7 @@ class Plane(PointSensor):
     def reads(self) -> str:
         return f"touches of {len(self.names)} plates"
 
-    def nearest(self, tool: Array) -> NDArray[np.integer]:
+    def nearest(self, tool: Array) -> Integers:
         apart = tool[:, None, :3, 3] - self.at.T
         return np.argmin(np.abs(np.sum(apart * np.asarray(self.normal).T, 2)), 1)
 
@@ -486,7 +486,7 @@ class Plane(PointSensor):
         group = np.arange(count) % len(self.names)
         return poses_at(self._touches(rng, group, _PLANNED_PLATE, np.zeros(count)))
 
-    def _touches(self, rng: np.random.Generator, group: NDArray[np.integer], half: float, error: Array) -> Array:
+    def _touches(self, rng: np.random.Generator, group: Integers, half: float, error: Array) -> Array:
         """Points `(sample, 3)` drawn on plates of a half side, m, and off them by errors `(sample,)`, m."""
         normal = np.asarray(self.normal).T[group]
         aside = half * rng.uniform(-1, 1, (len(group), 3))

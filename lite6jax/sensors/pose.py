@@ -11,12 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `spatial` takes half a second
-from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame, rotation_exp, rotation_log_components, transform
+from lite6jax.array_types import Array
 from lite6jax.sensors.sensor import OwnNumber, Sensor
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)

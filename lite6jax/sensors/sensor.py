@@ -12,12 +12,11 @@ from typing import Any, ClassVar, NamedTuple, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import Frame, cross
+from lite6jax.array_types import Array, Integers
 from lite6jax.errors import InputError
 
-Array = NDArray[np.floating]
 Point = tuple[float, float, float]
 
 
@@ -105,7 +104,7 @@ class Sensor(ABC):
 
     @property
     def reads_poses(self) -> bool:
-        """Whether it reads where the tool is, in a frame of its own; others read touches, distances or planes."""
+        """Tells whether it reads where the tool is, in a frame of its own; others read touches, distances or planes."""
         return False
 
     @property
@@ -141,7 +140,7 @@ class Sensor(ABC):
 
     # -------------------------------------------------------------- plans and simulations
 
-    def nearest(self, tool: Array) -> NDArray[np.integer]:
+    def nearest(self, tool: Array) -> Integers:
         """The place `(sample,)` that tools `(sample, 4, 4)` are nearest to; zero of what has but one."""
         return np.zeros(len(tool), int)
 
@@ -154,12 +153,12 @@ class Sensor(ABC):
 
     @property
     def touched(self) -> bool:
-        """Whether being at a place is the reading, so that a plan knows it."""
+        """Tells whether being at a place is the reading, so that a plan knows it."""
         return False
 
     @property
     def turned(self) -> bool:
-        """Whether the orientation of the tool matters at its targets."""
+        """Tells whether the orientation of the tool matters at its targets."""
         return self.rows == 6
 
     def columns_of_plan(self, tool: Array) -> tuple[Array, Array]:

@@ -9,10 +9,11 @@ from functools import cached_property
 from typing import final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
+from lite6jax.array_types import Array, Integers
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.tracking.predict import DiagnosedServos, describe_servos
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
@@ -22,10 +23,7 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.settings import ServoSettings
-from lite6jax.simulation.motions import PAUSE_S, SINES, SPEED, joint_ranges, make_generator, visit
-
-Array = NDArray[np.floating]
-Runs = NDArray[np.integer]
+from lite6jax.simulation.motions import SINES, SPEED, check_size, joint_ranges, make_generator, place_samples, visit
 
 SAMPLES = 2000
 """Where no number is given."""
@@ -61,7 +59,7 @@ _DAMPED = 0.7
 
 def draw_commands(
     arm: Arm, samples: int = SAMPLES, *, runs: int = 1, step: float = STEP_S, speed: float = SPEED, seed: int = 0
-) -> tuple[Array, Array, Runs]:
+) -> tuple[Array, Array, Integers]:
     """Random commands: in each run sines of several frequencies, then trapezoids with rests, then steps.
 
     Commands stay within the middle half of each joint's range. Each run begins with a rest.
@@ -82,16 +80,10 @@ def draw_commands(
     """
     if arm.sliding:
         raise InputError(f"{arm.name}: has prismatic joints, whose commands are not simulated; choose another arm")
-    if runs < 1 or samples < FEWEST * runs:
-        raise InputError(f"simulation: {samples} samples in {runs} runs; give at least {FEWEST} a run, and one run")
-    for name, value in (("step", step), ("speed", speed)):
-        if not 0 < value < np.inf:
-            raise InputError(f"simulation: {name} is {value}; give a number above 0")
+    check_size(samples, runs, FEWEST, step, speed)
     rng = make_generator(seed, "motion")
-    run = np.arange(samples) * runs // samples
-    within = np.arange(samples) - np.searchsorted(run, run)
-    time = step * (np.arange(samples) - run) + PAUSE_S * run
-    parts = [_draw_run(arm, step * within[run == number], speed, rng) for number in range(runs)]
+    run, time, since_start = place_samples(samples, runs, step)
+    parts = [_draw_run(arm, since_start[run == number], speed, rng) for number in range(runs)]
     return time, np.concatenate(parts), run
 
 
@@ -163,12 +155,10 @@ class TrackingSimulation:
     @property
     def reported(self) -> list[tuple[Effect, dict[str, Estimate]]]:
         """The effects, each with its parameters."""
-        terms = self.model.terms
         values = self.model.values
-        effects = zip(terms.terms, terms.slices, strict=True)
         return [
             (effect, effect.reported(values[part], np.zeros((effect.size, effect.size))))
-            for effect, part in effects
+            for effect, part in self.model.terms.pairs
             if isinstance(effect, Effect)
         ]
 

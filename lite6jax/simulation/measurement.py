@@ -6,13 +6,14 @@ from typing import NamedTuple, final
 
 import jax
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.files import read_arm
 from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.array_types import Array, Mask
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.effect import Effect
 from lite6jax.effects.serialization import parse_effect
@@ -26,8 +27,6 @@ from lite6jax.sensors.sensor import Sensor
 from lite6jax.sensors.usual import READINGS, SENSORS
 from lite6jax.simulation import readings
 from lite6jax.simulation.motions import MotionKind, draw_motion, make_generator, make_motion
-
-Array = NDArray[np.floating]
 
 OUTLIER_LEVER_M = 0.1
 """An outlier is rotated by its displacement divided by this."""
@@ -92,7 +91,7 @@ class Measurement(NamedTuple):
     recording: Recording
     poses: Array
     rigid: Array
-    outlier: NDArray[np.bool_]
+    outlier: Mask
 
     @property
     def displacement(self) -> Array:

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, PPoly
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_arms
+from lite6jax.array_types import Array, Integers
 from lite6jax.errors import InputError
 from lite6jax.recordings import (
     Recording,
@@ -26,7 +27,6 @@ from lite6jax.recordings import (
 from lite6jax.recordings.files import read_commands
 from lite6jax.recordings.units import real_array
 
-Array = NDArray[np.floating]
 MotionKind = Literal["static", "trajectory"]
 
 SAMPLES = {"static": 400, "trajectory": 3000}
@@ -57,6 +57,27 @@ def make_generator(seed: int, purpose: str) -> np.random.Generator:
     if seed < 0:
         raise InputError(f"seed {seed}: give zero or more")
     return np.random.default_rng([seed, _PURPOSES.index(purpose)])
+
+
+def check_size(samples: int, runs: int, fewest: int, step: float, speed: float) -> None:
+    """Checks how many samples and runs of them are asked for, and the numbers of their motion.
+
+    Raises:
+        InputError: fewer samples of a run than `fewest`, or a number out of its range.
+    """
+    if runs < 1 or samples < fewest * runs:
+        raise InputError(f"simulation: {samples} samples in {runs} runs; give at least {fewest} a run, and one run")
+    for name, value in (("step", step), ("speed", speed)):
+        if not 0 < value < np.inf:
+            raise InputError(f"simulation: {name} is {value}; give a number above 0")
+
+
+def place_samples(samples: int, runs: int, step: float) -> tuple[Integers, Array, Array]:
+    """`(sample,)`: the run of each of some samples, its time, and the time since the start of its run, both in s."""
+    sample = np.arange(samples)
+    run = sample * runs // samples
+    since_start = step * (sample - np.searchsorted(run, run))
+    return run, step * (sample - run) + PAUSE_S * run, since_start
 
 
 def draw_calibration(arm: Arm, seed: int = 0, *, length: float = 0.8e-3, angle: float = np.deg2rad(0.15)) -> Array:
@@ -182,15 +203,11 @@ def draw_motion(
     if samples is None:
         samples = SAMPLES[kind]
     fewest = 2 if kind == "trajectory" else 1
-    if runs < 1 or samples < fewest * runs:
-        raise InputError(f"simulation: {samples} samples in {runs} runs; give at least {fewest} a run, and one run")
     if step is None:
         step = STEP_S[kind]
-    for name, value in (("step", step), ("speed", speed)):
-        if not 0 < value < np.inf:
-            raise InputError(f"simulation: {name} is {value}; give a number above 0")
+    check_size(samples, runs, fewest, step, speed)
     rng = make_generator(seed, "motion")
-    run = np.arange(samples) * runs // samples
+    run, time, since_start = place_samples(samples, runs, step)
     velocity = None
     if kind == "static":
         center, half = joint_ranges(arm)
@@ -198,9 +215,7 @@ def draw_motion(
         position = center + half * (2 * (order + rng.random((samples, arm.dof))) / samples - 1)
         time = step * np.arange(samples)
     else:
-        within = step * (np.arange(samples) - np.searchsorted(run, run))
-        time = step * (np.arange(samples) - run) + PAUSE_S * run
-        parts = [draw_sines(arm, rng, speed).at(within[run == number]) for number in range(runs)]
+        parts = [draw_sines(arm, rng, speed).at(since_start[run == number]) for number in range(runs)]
         position, velocity = (np.concatenate(part) for part in zip(*parts, strict=True))
     return make_motion(
         arm, position, kind, time=time, velocity=velocity, run=run, payload=payload, warm_up=warm_up, settings=settings
@@ -214,7 +229,7 @@ def make_motion(
     *,
     time: ArrayLike | None = None,
     velocity: Array | None = None,
-    run: NDArray[np.integer] | None = None,
+    run: Integers | None = None,
     payload: float | Sequence[float] | Array = 0.0,
     warm_up: float | None = None,
     settings: RecordingSettings | None = None,

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.design.readings import target_of
 from lite6jax.domains.pose.inverse import REACHED, reach
 from lite6jax.errors import InputError
@@ -22,7 +22,6 @@ from lite6jax.recordings.settings import declared_settings
 from lite6jax.sensors.points import poses_at
 from lite6jax.sensors.usual import READINGS
 
-Array = NDArray[np.floating]
 Poses = Callable[[Recording], Array]
 
 _CORRECTIONS = 6

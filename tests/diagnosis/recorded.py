@@ -218,7 +218,7 @@ def found(selection):
 def estimates(selection, name, site):
     """The parameters of the finding of this name and site."""
     fitted = selection.state.fit
-    for effect, part in zip(fitted.terms.terms, fitted.terms.slices, strict=True):
+    for effect, part in fitted.terms.pairs:
         if (effect.name, effect.site) == (name, site):
             return effect.reported(fitted.values[part], fitted.covariance[part, part])
     raise AssertionError(f"no {name} at {site} among {found(selection)}")

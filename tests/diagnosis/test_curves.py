@@ -134,7 +134,7 @@ def swept(tmp_path_factory):
 def unnamed(selection):
     """Each nonparametric effect of a position, with its place among the numbers of the fit."""
     terms = selection.state.fit.terms
-    pairs = zip(terms.terms, terms.slices, strict=True)
+    pairs = terms.pairs
     return [pair for pair in pairs if isinstance(pair[0], Unnamed) and pair[0].driver.startswith("position")]
 
 

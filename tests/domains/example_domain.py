@@ -210,8 +210,8 @@ class OscillatorDiagnosis(DomainDiagnosis[OscillatorProblem]):
         return {"heldout_position_rms_m": float(np.sqrt(np.mean(errors[:, kept] ** 2)))}
 
     def _own_parts(self):
-        parts = list(zip(self.fit.terms.terms, self.fit.terms.slices, strict=True))
-        fields = shared_fields(self.model, parts, [finding.covariance for finding in self.findings])
+        covariances = [finding.covariance for finding in self.findings]
+        fields = shared_fields(self.model, self.fit.terms.pairs, covariances)
         own = {"arm": "oscillator", "kinematics": [[0.0] * 6], "oscillator": list(self.problem.oscillator)}
         return {"model": own | fields}
 

@@ -228,7 +228,7 @@ class LinearProblem:
 
     def residual(self, nuisance, terms, values):
         predicted = np.tensordot(self.offset + nuisance, self.levels, 1)
-        for term, part in zip(terms.terms, terms.slices, strict=True):
+        for term, part in terms.pairs:
             basis = (term.held(values[part][-1]) if is_free(term) else term).basis(self.data)
             predicted = predicted + values[part][: len(basis)] @ basis * self._column(term.site)
         return predicted - self.measured

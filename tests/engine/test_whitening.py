@@ -54,7 +54,7 @@ def models_of(problem):
     orders = iter((1.0, 1.5, 1.5))
     for chosen in map(Terms, terms):
         values = np.zeros(chosen.size)
-        for term, part in zip(chosen.terms, chosen.slices, strict=True):
+        for term, part in chosen.pairs:
             if term == free:
                 values[part] = 0.2, 0.1, next(orders)
         yield chosen, values

@@ -48,7 +48,7 @@ class WithMasses(LinearProblem):
         self.data["every_run"] = self.every_run
 
     def nuisance_columns(self, terms, values):
-        sizes = {term: values[part].sum() for term, part in zip(terms.terms, terms.slices, strict=True)}
+        sizes = {term: values[part].sum() for term, part in terms.pairs}
         through = np.stack([self.data["u1"] + self.data["angle"], self.data["u3"] * self.data["u1"]])
         moved = sizes.get(Column("u2"), 0.0) * through + sizes.get(Wave(2.0), 0.0) * through**2
         return np.concatenate([self.levels, 0.3 * moved[:, None] * np.array(self.shares)[:, None] ** 2])

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration, read_factory
+from lite6jax.array_types import Array
 from lite6jax.calibration.fit import fit_recording
 from lite6jax.calibration.source import with_arm
 from lite6jax.calibration.start import (
@@ -32,8 +32,6 @@ from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.domains.pose.screening.thresholds import AS_NOISE_RATIO, PUBLISHED_TOLERANCE
 from lite6jax.recordings import Recording, outside_limits, require_one_station
 from lite6jax.recordings.fault import DataFault, row_numbers
-
-Array = NDArray[np.floating]
 
 _MOSTLY_EXPLAINED = 0.8
 """Share of the squared error at which a cause is likely, set on real arms."""

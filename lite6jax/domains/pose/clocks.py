@@ -12,18 +12,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
 from lite6jax.recordings.alignment import flange_poses, frames_from_poses, match_poses, median_distance
 from lite6jax.recordings.columns.kinematics import CLOSE, FEWEST
 from lite6jax.recordings.sequence import spread_rows
 from lite6jax.recordings.streams import JointStream
-
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
-Rows = NDArray[np.integer]
 
 ALIKE = 1.5
 """Times the error of the best offset, within which another one is as likely: a motion that repeats itself."""
@@ -107,7 +103,7 @@ class Clocks(NamedTuple):
 
     @property
     def close(self) -> bool:
-        """Whether the nominal arm agrees with the poses at all."""
+        """Tells whether the nominal arm agrees with the poses at all."""
         return self.error <= CLOSE * self.moved
 
     @property
@@ -219,7 +215,7 @@ def pair_in_order(arm: Arm, joint: Array, position: Array) -> Pairing | None:
 
 
 def _same(arm: Arm, joints: JointStream, time: Array, first: Clocks, second: Clocks) -> bool:
-    """Whether the arm does not move from one offset to the other, as where it stood still at each pose."""
+    """Tells whether the arm does not move from one offset to the other, as where it stood still at each pose."""
     rows = time[spread_rows(len(time), _REFINED_ROWS)]
     start = first.robot_time(rows)
     end = second.robot_time(rows)
@@ -276,7 +272,7 @@ def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     y = position[rows] - np.median(position[rows], axis=0)
     scores = np.full(len(shifts), np.inf)
 
-    def score(chosen: Rows, rounds: int) -> None:
+    def score(chosen: Integers, rounds: int) -> None:
         for batch in np.array_split(chosen, 1 + len(chosen) * len(place) // _AT_ONCE):
             at = place + shifts[batch, None]
             inside = (at >= 0) & (at < len(flange))
@@ -301,7 +297,7 @@ def _candidates(arm: Arm, joints: JointStream, time: Array, position: Array, lik
     return candidates
 
 
-def _misfit(R: Array, p: Array, y: Array, covered: Flags, rounds: int) -> Array:
+def _misfit(R: Array, p: Array, y: Array, covered: Mask, rounds: int) -> Array:
     """`(offset,)`, the median error of the positions with frame and point fitted, as a part of their spread.
 
     p = A y - b - R t is linear in A, b and t; A is projected on the rotations, and b and t are solved again, as in
@@ -455,7 +451,7 @@ def _std_of_sum(parts: Array, parameters: int) -> float:
     return float(np.sqrt(max(variance, white) / max(1 - share, _LEAST_LEFT)))
 
 
-def _window(time: Array, position: Array) -> Rows:
+def _window(time: Array, position: Array) -> Integers:
     """The rows in which the offset is sought: all, or of a long log the part in which the point moves most."""
     if time[-1] - time[0] <= _LONGEST_WINDOW_S:
         return np.arange(len(time))

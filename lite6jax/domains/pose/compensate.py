@@ -15,6 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose import inverse
 from lite6jax.domains.pose.inverse import InverseSolution, Target
@@ -33,9 +34,6 @@ from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import PoseSensor
 from lite6jax.storage import exists
 
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
-Rows = NDArray[np.integer]
 TargetFrame = Literal["sensor", "base"]
 
 REACHED = (1e-6, 1e-5)
@@ -90,14 +88,14 @@ class Compensation(PublicResult):
     recording: Recording
     position_error: Array
     orientation_error: Array | None
-    reached: Flags
+    reached: Mask
     reason: tuple[Reason | None, ...]
     correction: Array | None
     omitted: tuple[str, ...]
     notes: tuple[str, ...]
     position_std: Array | None = None
     orientation_std: Array | None = None
-    outside: Flags | None = None
+    outside: Mask | None = None
 
     @property
     def joint_position(self) -> Array:
@@ -332,7 +330,7 @@ def _name_targets(
     return meant, ((f"columns are read as {pairs}",) if pairs else ())
 
 
-def _reached(solved: InverseSolution) -> Flags:
+def _reached(solved: InverseSolution) -> Mask:
     """`(sample,)`, whether the errors are within `REACHED`."""
     return (solved.position_error <= REACHED[0]) & (solved.orientation_error <= REACHED[1])
 
@@ -362,7 +360,7 @@ class _Search:
         direction = np.broadcast_to(np.array(self.approach, float)[:, None], q.T.shape)
         return motion._replace(direction=direction)  # type: ignore[arg-type]
 
-    def solve(self, motion: Motion, rows: Rows, q: Array, **options: int) -> InverseSolution:
+    def solve(self, motion: Motion, rows: Integers, q: Array, **options: int) -> InverseSolution:
         """From `q` `(start, joint)` for `rows` `(start,)`, each under the circumstances of its row in `motion`."""
         m = self.model
         target = self._target(rows)
@@ -377,9 +375,9 @@ class _Search:
         at = np.zeros((count, dof)) if start is None else np.where(has_start[:, None], start, 0.0)
         motion = self.motion(at)
         unsolved = np.ones(count, bool)
-        solutions: list[tuple[Rows, Array, Array]] = []
+        solutions: list[tuple[Integers, Array, Array]] = []
 
-        def solve(rows: Rows, q: Array) -> None:
+        def solve(rows: Integers, q: Array) -> None:
             solved = self.solve(motion, rows, q)
             solutions.append((rows, solved.joint_position.T, solved.cost))
             unsolved[rows[_reached(solved)]] = False
@@ -402,7 +400,7 @@ class _Search:
         rows, positions, costs = (np.concatenate(parts) for parts in zip(*solutions, strict=True))
         return _least_motion(rows, positions, costs, at, has_start, self._usual())
 
-    def settle(self, q: Array) -> tuple[InverseSolution, Flags]:
+    def settle(self, q: Array) -> tuple[InverseSolution, Mask]:
         """Solved until directions and velocities are those of the joint positions found; errors are of that motion.
 
         Also `(row,)`, where that does not converge: the direction in which a row is approached leads to joint positions
@@ -438,13 +436,13 @@ class _Search:
         position_error, orientation_error = (np.linalg.norm(part, axis=0) for part in (missed[:3], missed[3:]))
         return solved._replace(position_error=position_error, orientation_error=orientation_error)
 
-    def _target(self, rows: Rows) -> Target:
+    def _target(self, rows: Integers) -> Target:
         assert self.targets.position is not None
         R = measured_rotations(self.targets)
         rotation = None if R is None else np.moveaxis(R[rows], 0, -1)
         return Target(self.targets.position[rows].T, rotation)  # type: ignore[arg-type]
 
-    def _rigid(self, rows: Rows, q: Array, unlimited: bool) -> tuple[Array, Array]:
+    def _rigid(self, rows: Integers, q: Array, unlimited: bool) -> tuple[Array, Array]:
         """Where the arm without effects ends from `q` `(start, joint)`, and the squared errors `(start,)` in m².
 
         Without limits it does not stop at one of them; its joints are then returned by whole turns.
@@ -459,7 +457,7 @@ class _Search:
         inside = ((q >= self.limits[:, 0]) & (q <= self.limits[:, 1])).all(1)
         return np.clip(q, *self.limits.T), np.where(inside, solved.cost, 1.0 + solved.cost)
 
-    def _differ(self, before: Motion, after: Motion) -> Flags:
+    def _differ(self, before: Motion, after: Motion) -> Mask:
         """`(row,)`, where two motions differ in what effects depend on and the joints' own movement determines."""
         differ = np.zeros(before.samples, bool)
         drivers = {driver.quantity for effect in self.model.physics.effects for driver in effect.drivers}
@@ -491,7 +489,7 @@ class _Search:
         return np.where(slides, self.limits, np.clip(self.limits, -np.pi, np.pi))
 
 
-def _least_motion(rows: Rows, q: Array, cost: Array, start: Array, has_start: Flags, usual: Array) -> Array:
+def _least_motion(rows: Integers, q: Array, cost: Array, start: Array, has_start: Mask, usual: Array) -> Array:
     """`(row, joint)`: of the solutions of each row the one on the path that moves the joints least, by squares.
 
     The shortest path through the rows (R. Bellman, 1957). Where a row has solutions in the usual range, it takes one of

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.chains import Form, joint_motion
+from lite6jax.array_types import Array
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.deflection import Deflection, place_of
@@ -25,8 +25,6 @@ from lite6jax.effects.nonparametric import COMPONENTS, SCALE, Unnamed
 from lite6jax.effects.statics import Inertia, Loads, loads, with_mass_errors
 from lite6jax.estimation.problem import Component, DriverValues
 from lite6jax.estimation.terms import Terms
-
-Array = NDArray[np.floating]
 
 _STEP = 1e-2
 """Of a number's typical size: the step of difference quotients of loads."""
@@ -199,7 +197,7 @@ class Deflections:
             effects: beside it; those that depend on loads deflect the arm, and further ones alter the loads as well.
             values: `(effects.size,)`.
         """
-        pairs = [(term, np.asarray(values)[part]) for term, part in zip(effects.effects, effects.slices, strict=True)]
+        pairs = [(term, np.asarray(values)[part]) for term, part in effects.pairs]
         bending = [pair for pair in pairs if isinstance(pair[0], Bending) and any(d.loaded for d in pair[0].drivers)]
         if not bending:
             return Deflection(scale=np.zeros((effect.size, self.motion.samples)))  # type: ignore[arg-type]
@@ -230,7 +228,7 @@ class Deflections:
             values: `(effects.size,)`.
         """
         total = Deflection(scale=np.zeros((len(masses), self.motion.samples)))  # type: ignore[arg-type]
-        for effect, part in zip(effects.effects, effects.slices, strict=True):
+        for effect, part in effects.pairs:
             if isinstance(effect, Bending) and any(driver.loaded for driver in effect.drivers):
                 deflected = partial(effect.deflect, values[part], self.host_motion)  # type: ignore[arg-type]
                 pairs = self._loads_by_mass(tuple(masses))

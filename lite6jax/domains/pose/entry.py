@@ -6,9 +6,9 @@ from typing import Any, ClassVar, Literal
 import msgspec
 import numpy as np
 from msgspec.structs import asdict
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
+from lite6jax.array_types import Array
 from lite6jax.domains.entries import (
     Angle,
     Document,
@@ -28,8 +28,6 @@ from lite6jax.effects.statics import inertia_of
 from lite6jax.estimation.terms import join
 from lite6jax.model import ArmModel
 from lite6jax.storage import NonNegative, Strict
-
-Array = NDArray[np.floating]
 
 
 class InertiaEntry(Strict):
@@ -125,7 +123,6 @@ def model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, 
     limits = model.joint_limits
     zero = np.asarray(model.joint_zero)
     masses = model.inertia
-    parts = list(zip(model.physics.effects, model.physics.slices, strict=True))
     return {
         "arm": model.arm,
         "kinematics": np.asarray(model.model.geometry).reshape(-1, 6).tolist(),
@@ -137,5 +134,5 @@ def model_entry(model: DiagnosedArm, covariances: Sequence[Array]) -> dict[str, 
         "inertia": masses and {name: np.asarray(value).tolist() for name, value in masses._asdict().items()},
         "motion": model.motion,
         "accelerated": model.accelerated,
-        **shared_fields(model, parts, covariances),
+        **shared_fields(model, model.physics.pairs, covariances),
     }

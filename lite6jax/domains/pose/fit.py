@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, TypedDict, Unpack, cast, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.array_types import AnyArray, Array
 from lite6jax.calibration import fit as plain
 from lite6jax.calibration.fit import FOLDS, Loss, calibration_from_array, fit_calibration
 from lite6jax.calibration.problem import TOUCHED_TOLERANCE, Geometry
@@ -35,7 +36,6 @@ from lite6jax.recordings import Recording, require_one_station, require_samples
 from lite6jax.recordings.units import real_array
 from lite6jax.sensors.points import PointSensor
 
-Array = NDArray[np.floating]
 Source = str | Path | FactoryCalibration | Recording
 """A file, or what one holds."""
 _STEP = 1e-6
@@ -55,7 +55,7 @@ class _Options(TypedDict, total=False):
 
 @overload
 def fit(
-    source: Source | NDArray[Any] | Sequence[Sequence[float]],
+    source: Source | AnyArray | Sequence[Sequence[float]],
     nominal: Arm | str | Path | None = None,
     **options: Unpack[_Options],
 ) -> Solution: ...

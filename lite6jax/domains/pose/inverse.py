@@ -12,13 +12,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
 from jax.typing import ArrayLike
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.se3 import rotation_log_components
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.effects.composition import Physics
 from lite6jax.effects.motion import Motion, Sliding
 from lite6jax.effects.statics import Inertia
@@ -67,8 +66,8 @@ class Target(NamedTuple):
         rotation: `(3, 3, sample)`, the tool's axes in the sensor's frame as columns; None where any will do.
     """
 
-    position: Array
-    rotation: Array | None
+    position: jax.Array
+    rotation: jax.Array | None
 
 
 class InverseSolution(NamedTuple):
@@ -89,7 +88,7 @@ class InverseSolution(NamedTuple):
     ended: Any
 
     @property
-    def cost(self) -> NDArray[np.floating]:
+    def cost(self) -> Array:
         """`(sample,)` m²."""
         return self.position_error**2 + (LEVER * self.orientation_error) ** 2
 
@@ -147,8 +146,8 @@ def solve(
 def solve_rigid(
     model: ArmModel,
     target: Target,
-    start: NDArray[np.floating],
-    limits: NDArray[np.floating],
+    start: Array,
+    limits: Array,
     sliding: Sequence[int],
     steps: int = _RIGID_STEPS,
 ) -> InverseSolution:
@@ -162,11 +161,11 @@ def solve_rigid(
 def reach(
     model: ArmModel,
     target: Target,
-    start: NDArray[np.floating],
-    limits: NDArray[np.floating],
+    start: Array,
+    limits: Array,
     sliding: Sequence[int],
     rng: np.random.Generator,
-) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Joint positions at which the rigid arm reaches targets, from a start and then from others inside its limits.
 
     Args:
@@ -196,9 +195,9 @@ def reach(
     return q, reached
 
 
-_Reached = tuple[NDArray[np.floating], NDArray[np.bool_]]
+_Reached = tuple[Array, Mask]
 """Joint positions `(row, joint)`, and whether they reach the poses of the rows."""
-_Solve = Callable[[NDArray[np.integer], NDArray[np.floating]], _Reached]
+_Solve = Callable[[Integers, Array], _Reached]
 
 
 class JointPath(NamedTuple):
@@ -210,12 +209,12 @@ class JointPath(NamedTuple):
         branches: how many were found at the first row.
     """
 
-    position: NDArray[np.floating]
-    reached: NDArray[np.bool_]
+    position: Array
+    reached: Mask
     branches: int
 
 
-def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.floating]) -> JointPath | None:
+def joint_path(arm: Arm, position: Array, quaternion: Array) -> JointPath | None:
     """The joints of a nominal arm along poses of its flange in its base; None where no branch follows them.
 
     Args:
@@ -245,7 +244,7 @@ def joint_path(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.
     return None
 
 
-def capture_joints(arm: Arm, position: NDArray[np.floating], quaternion: NDArray[np.floating]) -> JointPath | None:
+def capture_joints(arm: Arm, position: Array, quaternion: Array) -> JointPath | None:
     """The joints of a nominal arm at poses between which it moved far; None where most are not reached.
 
     Each pose is solved from many joints. Of what reaches it, the nearest to the joints at the row before is taken, and
@@ -276,11 +275,11 @@ def capture_joints(arm: Arm, position: NDArray[np.floating], quaternion: NDArray
     return JointPath(joints, solvable, len(np.unique(np.round(circle, 1), axis=0)))
 
 
-def _solver(arm: Arm, position: NDArray[np.floating], matrices: NDArray[np.floating]) -> _Solve:
+def _solver(arm: Arm, position: Array, matrices: Array) -> _Solve:
     """What solves some of the poses of a nominal arm's flange from given joints."""
     model = arm_model(arm.kinematics.ravel(), T_flange_tool=arm.T_joint_flange)
 
-    def solved(chosen: NDArray[np.integer], start: NDArray[np.floating]) -> _Reached:
+    def solved(chosen: Integers, start: Array) -> _Reached:
         target = Target(position[chosen].T, np.moveaxis(matrices[chosen], 0, -1))  # type: ignore[arg-type]
         solution = solve_rigid(model, target, start, arm.joint_limits, arm.sliding)
         reached = (solution.position_error <= _WRITTEN[0]) & (solution.orientation_error <= _WRITTEN[1])
@@ -289,13 +288,13 @@ def _solver(arm: Arm, position: NDArray[np.floating], matrices: NDArray[np.float
     return solved
 
 
-def _starts(arm: Arm) -> NDArray[np.floating]:
+def _starts(arm: Arm) -> Array:
     """`(start, joint)`, all over the limits."""
     limits = np.where(arm.slides[:, None], arm.joint_limits, np.clip(arm.joint_limits, -np.pi, np.pi))
     return np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (_STARTS, arm.dof))
 
 
-def _branches(arm: Arm, solved: _Solve) -> list[NDArray[np.floating]]:
+def _branches(arm: Arm, solved: _Solve) -> list[Array]:
     """The joints `(joint,)` at the first row, the nearest to the middle of the limits first."""
     middle = np.where(arm.slides, arm.joint_limits.mean(1), np.clip(arm.joint_limits.mean(1), -np.pi, np.pi))
     starts = _starts(arm)
@@ -310,9 +309,7 @@ def _branches(arm: Arm, solved: _Solve) -> list[NDArray[np.floating]]:
     return branches
 
 
-def _followed(
-    solved: _Solve, start: NDArray[np.floating], moved: NDArray[np.floating], turned: NDArray[np.floating]
-) -> _Reached:
+def _followed(solved: _Solve, start: Array, moved: Array, turned: Array) -> _Reached:
     """`(row, joint)` from the joints of the first row on, and where the poses are reached without a jump."""
     count = len(moved)
     q = np.zeros((count, len(start)))
@@ -337,18 +334,18 @@ def _solve(
     chain: SixParameterForm,
     physics: Physics,
     model: ArmModel,
-    values: Array,
+    values: jax.Array,
     motion: Motion,
     inertia: Inertia | None,
     target: Target,
-    limits: Array,
+    limits: jax.Array,
     steps: ArrayLike,
 ) -> InverseSolution:
     lower = limits[:, :1]
     upper = limits[:, 1:]
     eye = jnp.eye(motion.dof)[:, :, None]
 
-    def residual(q: Array) -> Array:
+    def residual(q: jax.Array) -> jax.Array:
         at = motion._replace(joint_position=q)
         _, tool = predict_frames_with(chain, physics, model, values, at, inertia)
         missed = tool.origin - target.position
@@ -358,7 +355,7 @@ def _solve(
         relative = [[jnp.sum(target.rotation[:, i] * axes[j], 0) for j in range(3)] for i in range(3)]
         return jnp.concatenate([missed, LEVER * jnp.stack(rotation_log_components(relative))])
 
-    def linearise(q: Array) -> Linearised:
+    def linearise(q: jax.Array) -> Linearised:
         directions = jnp.broadcast_to(eye, (motion.dof, *q.shape))
         r, J = jax.vmap(lambda along: jax.jvp(residual, (q,), (along,)), out_axes=(None, 0))(directions)
         gradient = jnp.sum(J * r, 1)
@@ -367,7 +364,7 @@ def _solve(
         curvature = jnp.sum(J[:, None] * J, 2) * free * free[:, None] + eye * (1 - free)
         return Linearised(jnp.sum(r**2, 0), gradient * free, curvature, jnp.ones_like(q), (r, pressed))
 
-    def advance(q: Array, step: Array) -> Array:
+    def advance(q: jax.Array, step: jax.Array) -> jax.Array:
         shortened = step * (_LONGEST / jnp.maximum(jnp.abs(step).max(0), _LONGEST))
         return jnp.clip(q + shortened, lower, upper)
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array, Integers
 from lite6jax.domains.pose.clocks import Clocks, Pairing, find_clocks, pair_in_order
 from lite6jax.errors import InputError
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
@@ -27,8 +27,6 @@ from lite6jax.recordings.table import LATEST_START_S
 if TYPE_CHECKING:
     from lite6jax.domains.pose.inverse import JointPath
 
-Array = NDArray[np.floating]
-Rows = NDArray[np.integer]
 
 _OF_JOINTS = ("q", "dq", "ddq", "tau", "current", "temp", "cmd", "payload", "ambient")
 _OF_POSES = ("position", "deviation", "rotation", "ambient")
@@ -139,7 +137,7 @@ def with_joints(file: InspectedTable, arm: Arm, captures: bool = False) -> WithJ
 
 
 def is_of_pairs(file: InspectedTable) -> bool:
-    """Whether a file holds a robot's pose and a sensor's in each row, and no joints, as for a hand-eye calibration."""
+    """Tells whether a file has a robot's pose and a sensor's in each row, and no joints: a hand-eye calibration."""
     roles = {source.role for source in file.inspection.sources}
     return file.inspection.of("q") is None and roles >= {"controller", "sensor"}
 
@@ -276,7 +274,9 @@ def _joined_by_time(
     )
 
 
-def _table(joints: InspectedTable, poses: InspectedTable, moved: Mapping[str, Array], rows: Rows) -> dict[str, Array]:
+def _table(
+    joints: InspectedTable, poses: InspectedTable, moved: Mapping[str, Array], rows: Integers
+) -> dict[str, Array]:
     """The columns of both, those of the poses at some rows; names that both have begin with the file's."""
     placed = {name: column[rows] for name, column in _kept(poses, _OF_POSES).items()}
     common = moved.keys() & placed.keys()

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lite6jax import threads
 from lite6jax.arms import frames
 from lite6jax.arms.chains import Form
+from lite6jax.array_types import Array
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.effects.deflection import Deflection
 from lite6jax.model import ArmModel, predict_bent
@@ -20,7 +20,6 @@ from lite6jax.recordings import Recording
 from lite6jax.sensors.pose import PoseSensor
 from lite6jax.sensors.sensor import Sensor
 
-Array = NDArray[np.floating]
 Site = tuple[str, int, int]
 """A field of `Deflection`, the joint or link in it from 0, and the component of a twist.
 

@@ -11,13 +11,12 @@ by some per cent, which is many standard deviations of a large compliance. One a
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.pose.deflections import physics_of
 from lite6jax.domains.pose.problem import PoseProblem
 from lite6jax.estimation.least_squares import Fit, fit, relinearise
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.score_test import score_test
 from lite6jax.estimation.terms import Terms
 from lite6jax.estimation.thresholds import CLOSE
@@ -25,8 +24,6 @@ from lite6jax.recordings.sequence import run_segments
 from lite6jax.search.final_estimates import with_alternative
 from lite6jax.search.search import Selection, at_estimate, select
 from lite6jax.sensors.pose import PoseSensor
-
-Array = NDArray[np.floating]
 
 _FEWEST = 50
 """Samples of a run: with fewer a lag is not distinguished from chance."""
@@ -107,7 +104,7 @@ def _speed(time: Array, position: Array, grid: Array) -> Array:
     return np.linalg.norm(np.gradient(at, axis=1), axis=0)
 
 
-def _between(values: Array, first: NDArray[np.integer], last: NDArray[np.integer]) -> Array:
+def _between(values: Array, first: Integers, last: Integers) -> Array:
     total = np.cumsum(np.pad(values, (1, 0)))
     return total[last] - total[first]
 

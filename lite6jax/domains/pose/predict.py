@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
-from numpy.typing import NDArray
 
 from lite6jax.arms.se3 import quaternion_from_rotation
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.pose.deflections import Deflections, columns_of, site_of
 from lite6jax.domains.pose.kinematics import FRAMES, Site, rigid_tool, site_columns
 from lite6jax.domains.uncertainty import (
@@ -46,9 +46,6 @@ from lite6jax.recordings.motion import motion_of_recording, with_joints
 from lite6jax.recordings.units import other_joints
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import PoseSensor
-
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
 
 SPARSE = 3.0
 """Times what is typical of the recorded rows: a row whose standard deviation is larger lies where they are too few."""
@@ -307,7 +304,7 @@ class Prediction(PublicResult):
     poses: Array
     position_std: Array | None
     orientation_std: Array | None
-    outside: NDArray[np.bool_] | None
+    outside: Mask | None
     orientation: bool = True
 
     @property
@@ -316,11 +313,11 @@ class Prediction(PublicResult):
         return self.poses
 
     @property
-    def empty(self) -> Flags:
+    def empty(self) -> Mask:
         """`(sample,)`, rows of which nothing is predicted."""
         return np.isnan(self.poses[:, 0, 0])
 
-    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
+    def columns(self) -> dict[str, Array | Integers]:
         """Column name to values, as in a file of a recording, and as `deviation_columns`; NaN in empty rows."""
         columns: dict[str, Any] = dict(zip(("x_m", "y_m", "z_m"), self.poses[:, :3, 3].T, strict=True))
         if self.orientation:
@@ -352,7 +349,7 @@ def shown_poses(model: DiagnosedArm, motion: Motion) -> Array:
     return poses
 
 
-def deviation_columns(result: Any) -> dict[str, Array | NDArray[np.integer]]:
+def deviation_columns(result: Any) -> dict[str, Array | Integers]:
     """Column name to values of a prediction or a compensation: `x_std_m` …, `rx_std_rad` …, `outside`, where known."""
     columns: dict[str, Any] = {}
     for std, names in ((result.position_std, ("x_std_m", "y_std_m", "z_std_m")), (result.orientation_std, TURNED)):
@@ -445,7 +442,7 @@ class Derivatives:
         units = []
         if masses:
             units = [self._deflections.through_masses(masses, physics, values)]
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
+        for effect, part in physics.pairs:
             free_effect = freed(effect)
             at = values[part]
             if free_effect is not effect and effect.chosen is not None:
@@ -476,7 +473,7 @@ class Derivatives:
         return self._seen
 
 
-def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | None, Array | None, Flags | None]:
+def predict_deviations(model: DiagnosedArm, motion: Motion) -> tuple[Array | None, Array | None, Mask | None]:
     """`position_std`, `orientation_std` and `outside` of a `Prediction`; None where the diagnosis says nothing of them.
 
     Rows are outside too where the recorded rows are too few near them: where the standard deviation is `SPARSE` times

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.pose.deflections import (
     Deflections,
@@ -43,7 +43,7 @@ from lite6jax.effects.kinematic import JointHarmonic, PayloadError, TimeOffset
 from lite6jax.effects.motion import Motion, accelerated, beyond, select, shifted, thin
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import Inertia, Loads
-from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
+from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
 from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.fields import field_values
 from lite6jax.model import ArmModel
@@ -51,8 +51,6 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import inertia_of_arm, motion_of_recording
 from lite6jax.recordings.settings import RecordingSettings
 from lite6jax.sensors.sensor import Sensor
-
-Array = NDArray[np.floating]
 
 ONCE_PER_TURN = 2e-4
 """rad, one sigma of the sine and the cosine of a joint's error once a turn, which encoders off centre and gears have: a
@@ -104,7 +102,7 @@ class PoseProblem(RigidArm):
     untestable: tuple[Untestable, ...]
     after: Mask
     clock_offset: float = 0.0
-    thinned_from: tuple[Motion, NDArray[np.integer]] | None = None
+    thinned_from: tuple[Motion, Integers] | None = None
     units: dict[Hashable, Any] = field(default_factory=dict)
     wandering: tuple[Unnamed, ...] = ()
     bent: Deflection | None = None
@@ -126,23 +124,23 @@ class PoseProblem(RigidArm):
         return tuple(site for site in self.unknown if site[0] in ("mass", "payload"))
 
     @property
-    def groups(self) -> NDArray[np.integer]:
+    def groups(self) -> Integers:
         """Position and orientation share one scale over their noise, unless that of one alone is declared."""
         apart = len({noise is None for noise in self.declared_noise[: -(-self.rows // 3)]}) == 2
         return np.repeat((0, int(apart)), 3)[: self.rows]
 
     @property
     def declared(self) -> bool:
-        """Whether the noise of all that is measured is declared."""
+        """Tells whether the noise of all that is measured is declared."""
         return None not in self.declared_noise[: -(-self.rows // 3)]
 
     @property
     def floored(self) -> bool:
-        """Of touches whose noise is declared."""
+        """Tells whether readings are touches whose noise is declared."""
         return self.declared and not self.measured.reads_poses
 
     @lazy
-    def run(self) -> NDArray[np.integer]:
+    def run(self) -> Integers:
         """`(sample,)`, the first sample of each sample's run; of touches each is one of its own, as it seats anew."""
         if not self.measured.reads_poses and self.recording.motion == "static":
             return np.arange(self.samples)
@@ -226,7 +224,7 @@ class PoseProblem(RigidArm):
         jacobian = np.empty(
             (term_set.size, self.rows, self.samples)
         )  # half a gigabyte of a real arm: written in its place
-        for effect, part in zip(term_set.terms, term_set.slices, strict=True):
+        for effect, part in term_set.pairs:
             assert isinstance(effect, Effect)
             if (factored := self.factored(effect)) is not None:
                 block = jacobian[part].reshape(len(factored.site), -1, self.rows, self.samples)
@@ -242,7 +240,7 @@ class PoseProblem(RigidArm):
         return jacobian
 
     def factored(self, term: Term) -> Factored | None:
-        """Of a function without a name, where those of one site and component share its column; None of other terms."""
+        """The columns of a function without a name, where those of a site and component share its column; else None."""
         if not isinstance(term, Unnamed):
             return None
         key = term.where, term.component
@@ -261,7 +259,7 @@ class PoseProblem(RigidArm):
         def through_masses(effect: Effect, numbers: Array) -> Array:
             return columns_of(at.through_masses(self.masses, Physics((effect,)), numbers), self.sites)
 
-        for effect, part in zip(physics.effects, physics.slices, strict=True) if physics.loaded else ():
+        for effect, part in physics.pairs if physics.loaded else ():
             if isinstance(effect, Unnamed) or not Physics((effect,)).loaded:
                 continue  # a function of the loads as declared, or of none
             numbers = np.asarray(values, float)[part]
@@ -275,7 +273,7 @@ class PoseProblem(RigidArm):
 
     @cached_property
     def _columns(self) -> dict[Hashable, Array]:
-        """Of linear effects, of sites, and of masses through effects, by these; computed once."""
+        """Columns of linear effects, of sites, and of masses through effects, by these; computed once."""
         return {}
 
     @lazy
@@ -296,7 +294,7 @@ class PoseProblem(RigidArm):
 
     @lazy
     def components(self) -> tuple[Component, ...]:
-        """Of every site, as far as the sensor sees them."""
+        """The components of every site, as far as the sensor sees them."""
         candidates = components(self.sites, self.motion, 6 if self.rows == 6 else 3)
         return tuple(component for component in candidates if component.site != "sensor" or self.measured.reads_poses)
 
@@ -306,7 +304,7 @@ class PoseProblem(RigidArm):
         return quantities(self.deflections.host_motion, self.deflections.loads)
 
     @property
-    def every_run(self) -> NDArray[np.integer]:
+    def every_run(self) -> Integers:
         """`(2, sample)`, the first and the last sample of each sample's run."""
         return np.asarray(self.motion.run)
 
@@ -345,7 +343,7 @@ class PoseProblem(RigidArm):
         return unwhitened(self.residual(nuisance, terms, values), self.measured.whitener)[:3]
 
     def errors(self, nuisance: Array, terms: Terms, values: Array) -> tuple[Array, Array]:
-        """Of position and of orientation `(2, sample)`, lengths in m and rad, and over the noise of each row.
+        """Errors of position and of orientation `(2, sample)`, lengths in m and rad, and over the noise of each row.
 
         Errors of an orientation that was not measured are zero.
         """
@@ -407,7 +405,7 @@ class PoseProblem(RigidArm):
         """By how much the masses differ from those declared, by the nuisance `(unknown,)`; None where they do not."""
         return mass_errors(self.unknown, self.offset + nuisance, self.motion.dof)
 
-    def select(self, rows: NDArray[np.integer]) -> Self:
+    def select(self, rows: Integers) -> Self:
         """Some of the samples, each a run of its own."""
         full_motion, at = self.thinned_from or (self.motion, np.arange(self.samples))
         bent = jax.tree.map(lambda part: part[..., rows], self.bent)
@@ -481,7 +479,7 @@ class PoseProblem(RigidArm):
             motion = host_motion = self.deflections.altered_motion(physics, values)
         if physics.loaded and (physics.altering or errors is not None):
             on_arm = self.deflections.loads_in(host_motion, physics, values, errors)
-        for effect, part in zip(physics.effects, physics.slices, strict=True):
+        for effect, part in physics.pairs:
             heavy = not effect.nonparametric and any(driver.loaded for driver in effect.drivers)
             changed = physics.altering or (errors is not None and heavy)
             if effect.linear and not changed:
@@ -521,9 +519,7 @@ class PoseProblem(RigidArm):
         return dense(Deflection(), self.motion.dof, self.samples)
 
 
-def _altered(
-    motion: Motion, thinned_from: tuple[Motion, NDArray[np.integer]] | None, alter: Callable[[Motion], Motion]
-) -> Motion:
+def _altered(motion: Motion, thinned_from: tuple[Motion, Integers] | None, alter: Callable[[Motion], Motion]) -> Motion:
     """The motion of a problem altered by an effect of the clock or the payload, at the rows of the problem."""
     if thinned_from is None:
         return alter(motion)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -18,6 +17,7 @@ from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import VARIANTS, bundled_arms
 from lite6jax.arms.factory import FactoryCalibration, read_factory
+from lite6jax.array_types import Array
 from lite6jax.calibration.problem import Geometry
 from lite6jax.calibration.source import arm_of
 from lite6jax.calibration.start import declared_tool, measured_rotations
@@ -32,8 +32,6 @@ from lite6jax.model import LEVER, ArmModel
 from lite6jax.recordings import Recording, RecordingSettings, require_one_station, require_samples
 from lite6jax.recordings.alignment import flange_poses
 from lite6jax.recordings.units import other_joints
-
-Array = NDArray[np.floating]
 
 SAME_JOINTS = 1e-3
 """rad within which two rows are of the same joint positions: an error beyond the rigid arm varies by a thousandth less
@@ -145,7 +143,7 @@ class _RigidArm(NamedTuple):
         return self.registration.rms
 
     def within(self, noise: Sequence[float]) -> bool:
-        """Whether the residuals of position (m) and orientation (rad) per axis are no larger than noise."""
+        """Tells whether the residuals of position (m) and orientation (rad) per axis are no larger than noise."""
         return all(
             (residual or 0.0) <= allowed for residual, allowed in zip(self.registration.noise, noise, strict=True)
         )
@@ -524,6 +522,6 @@ def _geometry_difference(free: _RigidArm, start: _RigidArm) -> dict[str, Any]:
 
 
 def _displacement(before: Array, after: Array) -> dict[str, Any]:
-    """Of a frame, in the axes of where it was before."""
+    """Translation and rotation of a frame, in the axes of where it was before."""
     T = np.linalg.inv(before) @ after
     return {"translation_m": T[:3, 3].tolist(), "rotation_rad": float(Rotation.from_matrix(T[:3, :3]).magnitude())}

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.calibration.problem import UNDECLARED_NOISE
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import (
@@ -34,8 +34,6 @@ from lite6jax.recordings import Recording, RecordingSettings, require_one_statio
 from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.results import PublicResult
 from lite6jax.sensors.pose import PoseSensor
-
-Array = NDArray[np.floating]
 
 _DETERMINED = 1e-8
 """Eigenvalue of the information of unit columns, over the largest, below which a combination is not determined."""
@@ -72,7 +70,7 @@ class Registration(PublicResult):
         return np.linalg.norm(self.missed, axis=1)
 
     @property
-    def kept(self) -> NDArray[np.bool_]:
+    def kept(self) -> Mask:
         """`(sample,)`, those that are no outliers."""
         return self.weight > DOWNWEIGHTED
 
@@ -215,7 +213,7 @@ class _Frames(NuisanceProblem):
     measured: PoseSensor
     T_sensor_base: Array
     T_flange_tool: Array
-    unknown: NDArray[np.integer]
+    unknown: Integers
 
     @property
     def precision(self) -> Array:

@@ -11,12 +11,12 @@ from itertools import compress
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.chains import SixParameterForm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE, Geometry, declared_geometry, recording_problem
 from lite6jax.calibration.start import declared_tool
 from lite6jax.domains.pose.kinematics import (
@@ -33,7 +33,6 @@ from lite6jax.domains.pose.kinematics import (
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import relinearise
 from lite6jax.estimation.options import DEFAULTS
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale
 from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.model import ArmModel, ModelForm
@@ -43,8 +42,6 @@ from lite6jax.recordings.sequence import spread_rows
 from lite6jax.sensors.points import POINT_SENSORS, Contact, Declaration, PointSensor
 from lite6jax.sensors.sensor import Sensor
 from lite6jax.sensors.usual import ADVICE
-
-Array = NDArray[np.floating]
 
 UNDECLARED_TOUCH = 1e-4
 """m, one sigma of readings whose noise is not declared."""
@@ -88,7 +85,7 @@ class NuisanceProblem:
         return whitened(self.differences, self.measured.whitener)
 
     @property
-    def groups(self: Any) -> NDArray[np.integer]:
+    def groups(self: Any) -> Integers:
         """Position and orientation share one scale over their noise."""
         return np.zeros(self.rows, int)
 
@@ -105,7 +102,7 @@ class NuisanceProblem:
     def columns(
         self: Any, terms: Sequence[Term], values: Array | None = None, beside: tuple[Terms, Array] | None = None
     ) -> Array:
-        """Of no terms."""
+        """No columns, as there are no terms."""
         return np.zeros((0, self.rows, self.samples))
 
     def factored(self, term: Term) -> Factored | None:
@@ -113,7 +110,7 @@ class NuisanceProblem:
         return
 
     def limits(self, term: Term) -> list[tuple[float, float]]:
-        """Of no terms."""
+        """No limits, as there are no terms."""
         return []
 
 
@@ -266,7 +263,7 @@ class RigidArm(NuisanceProblem):
         sensor = self.measured.reading_as(measured_poses(recording, self.measured.whitener))
         return replace(self, recording=recording, measured=sensor)
 
-    def select(self, rows: NDArray[np.integer]) -> Self:
+    def select(self, rows: Integers) -> Self:
         """Some of the samples."""
         return replace(self, recording=self.recording.select(rows), measured=self.measured.select(rows))
 
@@ -290,7 +287,7 @@ class RigidArm(NuisanceProblem):
         )
 
     def log_likelihood(self, scale: float) -> float:
-        """Of Student's t at noise of `scale` times the declared one and of the prior, but for terms of the scale."""
+        """Log-likelihood of Student's t at `scale` times the declared noise and of the prior, but for terms of it."""
         spread = (FREEDOM + self.rows) * np.sum(np.log1p(self.squares / scale**2 / FREEDOM))
         return -0.5 * float(spread + np.sum(self.precision * self.offset**2))
 

@@ -4,14 +4,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers
 from lite6jax.domains.faults import GRAVITY, Hypothesis, SuspectedFault, places
 from lite6jax.domains.torque.rows import TorqueRows, torque_rows
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.motion import with_joints
-
-Array = NDArray[np.floating]
 
 POSITIONS = ("swapped_positions", "reversed_positions", "coupled_joint", "joint_zero")
 """What hypotheses suspect beside gravity: of joints that are coupled, torques are as well."""
@@ -56,7 +54,7 @@ def maps(hypothesis: Hypothesis, dof: int) -> tuple[Array, Array, Array, tuple[f
     return A, b, T, gravity
 
 
-def exchanges(order: NDArray[np.integer]) -> list[SuspectedFault]:
+def exchanges(order: Integers) -> list[SuspectedFault]:
     """Exchanges of two columns that put into place j the column `order[j]`."""
     now = list(range(len(order)))
     swaps = []
@@ -82,7 +80,7 @@ def faults_in(hypothesis: Hypothesis) -> int:
 
 
 def alike(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
+    """Tells whether two hypotheses differ by little of a zero or of gravity's direction, or in a constant, alone."""
     if places(a) != places(b):
         return False
     for change in a:

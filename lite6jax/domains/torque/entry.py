@@ -5,15 +5,13 @@ from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.entries import Document, JointModelEntry, joint_fields, restored_uncertainty, shared_fields
 from lite6jax.domains.torque.predict import DiagnosedMotors, pairs
 from lite6jax.effects.catalogue import TORQUE_EFFECTS
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.terms import Terms, join
-
-Array = NDArray[np.floating]
 
 
 class TorqueModelEntry(JointModelEntry, kw_only=True):

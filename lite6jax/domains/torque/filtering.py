@@ -13,16 +13,14 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
 from lite6jax.fields import field_values
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import run_segments
-
-Array = NDArray[np.floating]
 
 _ORDER = 4
 """Of the Butterworth filter; run forwards and backwards."""
@@ -98,8 +96,8 @@ class LowPass:
     rate: float
     cutoff: float
     every: int
-    runs: NDArray[np.integer]
-    kept: NDArray[np.integer]
+    runs: Integers
+    kept: Integers
 
     def whole(self, rows: Array) -> Array:
         """Rows `(…, sample)` low-passed, every sample of them."""
@@ -216,8 +214,8 @@ def evenly_timed(recording: Recording) -> Even:
     return Even(_interpolated(recording, parts, at), fault, doubt)
 
 
-def _stamps_jitter(q: Array, time: Array, runs: NDArray[np.integer], step: float) -> bool:
-    """Whether positions `(sample, joint)` are smoother over the number of the row than over the time."""
+def _stamps_jitter(q: Array, time: Array, runs: Integers, step: float) -> bool:
+    """Tells whether positions `(sample, joint)` are smoother over the number of the row than over the time."""
     rough = np.zeros(2)
     for rows in _each(runs):
         t = time[rows]
@@ -288,7 +286,7 @@ def _interpolated(recording: Recording, parts: Sequence[slice], at: Sequence[Arr
     return replace(recording, run=np.repeat(np.arange(len(parts)), [len(t) for t in at]), **arrays)
 
 
-def runs_of(recording: Recording, rate: float) -> NDArray[np.integer]:
+def runs_of(recording: Recording, rate: float) -> Integers:
     """`(sample,)`, a number for each run; a gap in time begins a new one."""
     assert recording.time is not None
     gaps = np.diff(recording.time, prepend=recording.time[0]) > _GAP / rate
@@ -338,7 +336,7 @@ def _mend_ends(acceleration: Array, velocity: Array, cutoff: float, rate: float)
         acceleration[:, :near], acceleration[:, -near:] = slope[:, :near], slope[:, -near:]
 
 
-def low_pass(velocity: Array, rate: float, runs: NDArray[np.integer]) -> LowPass:
+def low_pass(velocity: Array, rate: float, runs: Integers) -> LowPass:
     """The filter for the torques of a motion, by the spectrum of its velocities.
 
     Args:
@@ -361,7 +359,7 @@ def _stride(decimation: int) -> int:
     return max(decimation // _MODELLED, 1)
 
 
-def modelled(recorded: LowPass) -> tuple[LowPass, NDArray[np.integer]]:
+def modelled(recorded: LowPass) -> tuple[LowPass, Integers]:
     """The filter of modelled torques, and the recorded rows `(sample,)` at which they are modelled.
 
     Of fast recordings these are one in several, of which the filter still keeps no more than one in `_MODELLED`. Both
@@ -379,7 +377,7 @@ def modelled(recorded: LowPass) -> tuple[LowPass, NDArray[np.integer]]:
 
 
 def each_posture(samples: int) -> LowPass:
-    """Of postures at rest, one a row: nothing is filtered, and each is a run of its own."""
+    """The filter of postures at rest, one a row: nothing is filtered, and each is a run of its own."""
     rows = np.arange(samples)
     return LowPass(rate=1.0, cutoff=0.5, every=1, runs=rows, kept=rows)
 
@@ -390,7 +388,7 @@ def without_ends(chosen: LowPass, motion_cutoff: float) -> LowPass:
     return replace(chosen, kept=_kept(chosen.runs, chosen.every, margin))
 
 
-def _kept(runs: NDArray[np.integer], decimation: int, margin: int) -> NDArray[np.integer]:
+def _kept(runs: Integers, decimation: int, margin: int) -> Integers:
     stride = _stride(decimation)
     margin = -(-margin // stride) * stride  # so that what is kept is among the rows of the model
     enough = (rows for rows in _each(runs) if rows.stop - rows.start >= _FEWEST * stride)
@@ -398,7 +396,7 @@ def _kept(runs: NDArray[np.integer], decimation: int, margin: int) -> NDArray[np
     return np.concatenate([np.zeros(0, int), *parts])
 
 
-def spikes(torque: Array, velocity: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
+def spikes(torque: Array, velocity: Array, runs: Integers) -> Mask:
     """`(joint, sample)` bool, single torques, or two in a row, far from their neighbours, which agree.
 
     Of outliers at one sample in a hundred, some follow each other; a push lasts longer. Two in a row are none where the
@@ -432,7 +430,7 @@ def spikes(torque: Array, velocity: Array, runs: NDArray[np.integer]) -> NDArray
     return spiked
 
 
-def without_spikes(torque: Array, spiked: NDArray[np.bool_]) -> Array:
+def without_spikes(torque: Array, spiked: Mask) -> Array:
     """Torques `(joint, sample)`, spikes replaced by interpolation between their neighbours."""
     out = torque.copy()
     at = np.arange(torque.shape[1])
@@ -442,9 +440,7 @@ def without_spikes(torque: Array, spiked: NDArray[np.bool_]) -> Array:
     return out
 
 
-def interpolant(
-    rows: Array, time: Array, runs: NDArray[np.integer]
-) -> "list[tuple[slice, scipy.interpolate.CubicSpline]]":
+def interpolant(rows: Array, time: Array, runs: Integers) -> "list[tuple[slice, scipy.interpolate.CubicSpline]]":
     """A cubic spline in time of rows `(joint, sample)`, for each run of more than one sample."""
     return [
         (r, scipy.interpolate.CubicSpline(time[r], rows[:, r], axis=1))
@@ -453,12 +449,12 @@ def interpolant(
     ]
 
 
-def _each(runs: NDArray[np.integer]) -> list[slice]:
+def _each(runs: Integers) -> list[slice]:
     edges = [0, *(np.flatnonzero(np.diff(runs)) + 1).tolist(), len(runs)]
     return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
 
-def _by_run(rows: Array, runs: NDArray[np.integer], cutoff: float, rate: float) -> Array:
+def _by_run(rows: Array, runs: Integers, cutoff: float, rate: float) -> Array:
     """Each run low-passed on its own, without shift in time."""
     sections = _sections(cutoff, rate)
     out = np.array(rows, float)
@@ -481,14 +477,14 @@ def spectra(rows: Array, chosen: LowPass) -> tuple[Array, Array]:
     return spectra_by_row[0][0][1:], np.stack([power[1:] for _, power in spectra_by_row])
 
 
-def _spectrum(row: Array, runs: NDArray[np.integer], rate: float) -> tuple[Array, Array]:
+def _spectrum(row: Array, runs: Integers, rate: float) -> tuple[Array, Array]:
     """Frequencies and power spectral density of the longest run."""
     longest = max(_each(runs), key=lambda r: r.stop - r.start)
     part = row[longest]
     return scipy.signal.welch(part - part.mean(), rate, nperseg=min(len(part), round(_RESOLVED * rate)))
 
 
-def _signal_band(row: Array, runs: NDArray[np.integer], rate: float, cutoff: float) -> float:
+def _signal_band(row: Array, runs: Integers, rate: float, cutoff: float) -> float:
     """Hz up to which a row exceeds the floor of its spectrum.
 
     The floor is that of the octave above the `cutoff` in Hz of torques. Controllers low-pass the velocities that they
@@ -501,7 +497,7 @@ def _signal_band(row: Array, runs: NDArray[np.integer], rate: float, cutoff: flo
     return float(f[above[-1]]) if above.size else float(f[1])
 
 
-def _bandwidth(row: Array, runs: NDArray[np.integer], rate: float) -> float:
+def _bandwidth(row: Array, runs: Integers, rate: float) -> float:
     """Hz within which nearly all of a row's power lies."""
     f, power = _spectrum(row, runs, rate)
     total = np.cumsum(power)

@@ -12,10 +12,10 @@ from itertools import chain, combinations, product
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
+from lite6jax.array_types import Array
 from lite6jax.domains.faults import (
     GRAVITY,
     Hypothesis,
@@ -38,8 +38,6 @@ from lite6jax.effects.dynamic import TILT, direction
 from lite6jax.estimation.noise import autocorrelation_time
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.recordings.fault import DataFault
-
-Array = NDArray[np.floating]
 
 _EXPLAINED = 0.1
 """Of a joint's torque, RMS, from which a second change is sought: what most arms have beside leaves as much."""
@@ -185,7 +183,7 @@ def _other_axis(rows: Samples, evidence: float) -> DataFault | None:
 
 
 def computed_torque(data: TorqueRows) -> bool:
-    """Whether no joint has noise or friction: what a controller computes by a model of its arm, and no motor exerts.
+    """Tells whether no joint has noise or friction: a controller computes that by a model, and no motor exerts it.
 
     The links may be others than declared. A sensor's noise, or a current's, is several times `_NOISELESS`, and friction
     of a gear some per cent of its torque.
@@ -343,5 +341,5 @@ class _PenalisedLikelihoods:
         return [*likeliest.values()][:_BEAM]
 
     def suffices(self, nearest: Hypothesis, cost: float, before: float) -> bool:
-        """Whether it leaves little of all torques, or is not clearly likelier."""
+        """Tells whether it leaves little of all torques, or is not clearly likelier."""
         return not self._rows.suspicious(self.scored[nearest], _EXPLAINED) or cost > before - self._rows.required

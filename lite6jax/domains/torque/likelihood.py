@@ -6,18 +6,16 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment, minimize_scalar, nnls
 
 from lite6jax.arms import frames
 from lite6jax.arms.dynamics import recorded_regressor, recorded_torques
+from lite6jax.array_types import Array, Mask
 from lite6jax.domains.faults import Hypothesis, SuspectedFault, fault_cost, rounded_to_quarters
 from lite6jax.domains.torque.changes import STEP, exchanges, maps, turned_back
 from lite6jax.domains.torque.problem import uncertain
 from lite6jax.domains.torque.rows import TorqueRows
 from lite6jax.effects.dynamic import TILT, direction
-
-Array = NDArray[np.floating]
 
 _ROWS = 300
 """Samples on which hypotheses are compared, of one number, so that the dynamics are compiled once an arm."""
@@ -155,7 +153,7 @@ class Samples:
         return Scored((), 0.0, np.sqrt(np.mean(self._rest(()) ** 2, 1)))
 
     def suspicious(self, scored: Scored, share: float = SUSPECT) -> bool:
-        """Whether a hypothesis leaves more of a torque than friction, offsets and noise would."""
+        """Tells whether a hypothesis leaves more of a torque than friction, offsets and noise would."""
         residual = self._rest(scored.hypothesis)
         near = np.sum(residual[:, 1:] * residual[:, :-1], 1) / np.maximum(np.sum(residual**2, 1), 1e-300)
         return bool(((scored.left > share * self.size) & (near > _CORRELATED)).any())
@@ -178,7 +176,7 @@ class Samples:
         return moved, self.data.bodies.gravity if gravity is None else np.asarray(gravity)
 
     def feels(self, hypothesis: Hypothesis, share: float) -> bool:
-        """Whether a hypothesis of gravity changes more than a share of the torque of some joint, RMS."""
+        """Tells whether a hypothesis of gravity changes more than a share of the torque of some joint, RMS."""
         moved, gravity = self._moved(hypothesis)
         change = self.rigid(moved, gravity) - self.rigid(*self._moved(()))
         return bool((np.std(change, axis=1) > share * self.size).any())
@@ -264,8 +262,8 @@ class Samples:
         return Scored(tuple(changes), float(total.sum()) + self.price(hypothesis), residual_rms)
 
     def _constants(
-        self, loaded: Array, factor: Array, as_it_is: Array, observable: NDArray[np.bool_] | None
-    ) -> tuple[Array, Array, NDArray[np.bool_]] | None:
+        self, loaded: Array, factor: Array, as_it_is: Array, observable: Mask | None
+    ) -> tuple[Array, Array, Mask] | None:
         """Constants of the torques of joints, what each joint costs, and which are reversed, `(joint,)` each.
 
         Args:
@@ -403,7 +401,7 @@ class Samples:
 
         return max(map(of_width, _WIDTHS))
 
-    def _of_bodies(self, moved: Array, gravity: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _of_bodies(self, moved: Array, gravity: Array) -> tuple[Array, Mask]:
         """Torques `(number, joint, sample)` by changes of the bodies of one prior sigma, and which are of the links."""
         bodies = self.data.bodies
         Y = recorded_regressor(bodies.kinematics, moved, gravity, bodies.motion.sliding.joints)
@@ -419,7 +417,7 @@ class Samples:
         columns = np.concatenate(parts)
         return columns, np.arange(len(columns)) < len(links)
 
-    def _of_joints(self, moved: Array, gravity: Array, slope: Array, size: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _of_joints(self, moved: Array, gravity: Array, slope: Array, size: Array) -> tuple[Array, Mask]:
         """`(joint, number, sample)` Nm by what a joint may add, of one prior sigma, and which numbers are positive."""
         q = moved[0]
         joint_columns = self._beside(moved)[:, [0, 2, 3, 4, 5]] * np.sqrt(q.shape[1])  # of unit mean square
@@ -459,7 +457,7 @@ def _nonnegative(columns: Array, y: Array) -> tuple[Array, Array]:
     return numbers, np.maximum(np.sum(y**2, -1) - np.max(explained, -2), 0.0)
 
 
-def _solved(H: Array, g: Array, lower: NDArray[np.bool_]) -> Array:
+def _solved(H: Array, g: Array, lower: Mask) -> Array:
     """The minimum of ½ xᵀHx − gᵀx in which the numbers `lower` are not negative."""
     free = ~lower
     L = np.linalg.cholesky(H[np.ix_(free, free)])

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute, joint_sizes, joint_unit
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.filtering import evenly_timed, interpolant
 from lite6jax.domains.torque.rows import RigidBodies, bodies_of
@@ -38,10 +38,6 @@ from lite6jax.estimation.terms import Terms, join
 from lite6jax.recordings import Recording, read_motion
 from lite6jax.results import PublicResult
 
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
-Runs = NDArray[np.integer]
-
 _LEAST = {"position": (0.02, "rad"), "velocity": (0.02, "rad/s"), "acceleration": (0.2, "rad/s²")}
 """Quantities whose ranges are kept for every joint: the range of a joint that rests, and its unit."""
 _LINE = 10
@@ -55,7 +51,7 @@ _STEP = 1e-4
 def pairs(terms: Terms) -> list[tuple[TorqueEffect, slice]]:
     """The effects that are the terms of a torque problem, each with the place of its numbers."""
     effects = []
-    for term, part in zip(terms.terms, terms.slices, strict=True):
+    for term, part in terms.pairs:
         assert isinstance(term, TorqueEffect)
         effects.append((term, part))
     return effects
@@ -94,7 +90,7 @@ def offsets_of(terms: Terms, values: Array, joints: int) -> Array:
     return total
 
 
-def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer]) -> Array:
+def delayed(torque: Array, offsets: Array, time: Array, runs: Integers) -> Array:
     """Torques at another time than that of each sample, `(joint, sample)` Nm.
 
     Beyond the ends of a run they go on along the line through some samples: a cubic would follow their noise.
@@ -123,7 +119,7 @@ def delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer
     return value
 
 
-def slope_of_delayed(torque: Array, offsets: Array, time: Array, runs: NDArray[np.integer]) -> Array:
+def slope_of_delayed(torque: Array, offsets: Array, time: Array, runs: Integers) -> Array:
     """The derivatives by time of what `delayed` gives, `(joint, sample)` Nm/s; zero of runs that are too short."""
     slope = np.zeros(torque.shape)
     for offset in set(offsets.tolist()):
@@ -144,7 +140,7 @@ def slopes(effect: TorqueEffect, values: Array, dynamics: Dynamics) -> Array:
     return np.stack(derivatives)
 
 
-def motion_of_joint(j: int, velocity: Array, slides: Flags) -> Motion:
+def motion_of_joint(j: int, velocity: Array, slides: Mask) -> Motion:
     """The motion through zero in which joint j alone, from 0, moves, by velocities `(sample,)` rad/s, or m/s.
 
     `slides` `(joint,)` is true for prismatic joints.
@@ -245,7 +241,7 @@ class TorquePrediction(PublicResult):
 
     torque: Array
     std: Array | None
-    outside: NDArray[np.bool_] | None
+    outside: Mask | None
     sliding: tuple[int, ...] = ()
 
     @property
@@ -254,17 +250,17 @@ class TorquePrediction(PublicResult):
         return self.torque
 
     @property
-    def empty(self) -> Flags:
+    def empty(self) -> Mask:
         """`(sample,)`, rows of which nothing is predicted."""
         return np.isnan(self.torque[:, 0])
 
-    def columns(self) -> dict[str, Array | NDArray[np.integer]]:
+    def columns(self) -> dict[str, Array | Integers]:
         """Column name to values: `tau1_Nm` …, and `tau1_std_Nm` … and `outside`, 0 or 1, where these are known.
 
         Those of prismatic joints are `tau3_N` and `tau3_std_N`.
         """
         parts = [("", self.torque)] if self.std is None else [("", self.torque), ("_std", self.std)]
-        columns: dict[str, Array | NDArray[np.integer]] = {
+        columns: dict[str, Array | Integers] = {
             f"tau{j + 1}{std}_{joint_unit('Nm', j in self.sliding)}": row
             for std, values in parts
             for j, row in enumerate(values.T)
@@ -295,15 +291,15 @@ def _at_rows(values: Array, even: Recording, motion: Recording) -> Array:
     return resampled
 
 
-def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: Runs) -> Array:
+def shown_torques(terms: Terms, values: Array, dynamics: Dynamics, time: Array, runs: Integers) -> Array:
     """`(joint, sample)` Nm that the sensors show in a motion, as their stamps say: times and runs as of `delayed`."""
     torque = composed(terms, values, dynamics)
     return delayed(torque, offsets_of(terms, values, len(torque)), time, runs)
 
 
 def _bars(
-    model: DiagnosedMotors, uncertainty: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
-) -> tuple[Array, Flags]:
+    model: DiagnosedMotors, uncertainty: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Integers
+) -> tuple[Array, Mask]:
     """Standard deviations `(sample, joint)` Nm, and whether a row is outside."""
     recorded = uncertainty.recorded
     slides = model.arm.slides
@@ -324,7 +320,7 @@ def _bars(
 
 
 def _estimated(
-    model: DiagnosedMotors, uncertainty: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Runs
+    model: DiagnosedMotors, uncertainty: Uncertainty, bodies: RigidBodies, dynamics: Dynamics, runs: Integers
 ) -> Array:
     """`(joint, sample)` Nm², by the covariance of the numbers; of one effect after the other, in its directions.
 

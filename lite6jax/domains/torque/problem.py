@@ -7,9 +7,9 @@ from itertools import chain
 from typing import TYPE_CHECKING, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import as_revolute
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.predict import (
     delayed,
     offsets_of,
@@ -44,11 +44,9 @@ from lite6jax.effects.dynamic import (
 )
 from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
+from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
 from lite6jax.estimation.terms import Factored, Term, Terms
 from lite6jax.fields import field_values
-
-Array = NDArray[np.floating]
 
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
@@ -100,7 +98,7 @@ class TorqueCache:
     thinned: dict[int, "TorqueCache"] = field(default_factory=dict)
 
     def of_every(self, decimation: int) -> "TorqueCache":
-        """Of one in `decimation` samples."""
+        """The cache of one in `decimation` samples."""
         return self.thinned.setdefault(decimation, TorqueCache(everywhere=self.everywhere))
 
     def at_other_links(self) -> "TorqueCache":
@@ -137,7 +135,7 @@ class TorqueProblem:
     """
 
     data: TorqueRows
-    chosen: NDArray[np.integer]
+    chosen: Integers
     links: Array
     directions: Array
     precision: Array
@@ -160,7 +158,7 @@ class TorqueProblem:
 
     @property
     def samples(self) -> int:
-        """Of those that are kept."""
+        """Number of samples that are kept."""
         return len(self.chosen)
 
     @cached_property
@@ -180,12 +178,12 @@ class TorqueProblem:
         return np.hypot(sigma, more[:, self.data.filter.kept][:, self.chosen])
 
     @lazy
-    def groups(self) -> NDArray[np.integer]:
+    def groups(self) -> Integers:
         """Each joint has a noise of its own."""
         return np.arange(self.rows)
 
     @lazy
-    def run(self) -> NDArray[np.integer]:
+    def run(self) -> Integers:
         """`(sample,)`."""
         return self.data.runs[self.chosen]
 
@@ -201,7 +199,7 @@ class TorqueProblem:
 
     @property
     def relative_std(self) -> float | None:
-        """Of the prior of inertial numbers, over what is declared; None where these are exact."""
+        """Standard deviation of the prior of inertial numbers, over what is declared; None where these are exact."""
         if not len(self.precision):
             return None
         _, deviations = uncertain(self.data.bodies.links, 1.0)
@@ -209,7 +207,7 @@ class TorqueProblem:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Of every sample of the recording, at the linearisation."""
+        """The dynamics of every sample of the recording, at the linearisation."""
         return self.data.bodies.dynamics(self.links)
 
     @cached_property
@@ -325,7 +323,7 @@ class TorqueProblem:
         return False
 
     @property
-    def every_run(self) -> NDArray[np.integer]:
+    def every_run(self) -> Integers:
         """`(2, every sample)`, the first and the last sample of each one's run."""
         return np.asarray(self.data.motion.run)
 
@@ -502,7 +500,7 @@ class TorqueProblem:
             further_limits = [(max(lower, slowest), upper) for lower, upper in further_limits]
         return [(less[0] - of_arm, less[1]), *further_limits]
 
-    def select(self, rows: NDArray[np.integer]) -> "TorqueProblem":
+    def select(self, rows: Integers) -> "TorqueProblem":
         """Some of the samples."""
         return replace(self, chosen=self.chosen[rows], valid=self.valid[rows], known=TorqueCache())
 
@@ -634,7 +632,7 @@ def torque_problem(data: TorqueRows, effects: Sequence[TorqueEffect] = ()) -> To
 
 
 def _loaded(effect: TorqueEffect) -> bool:
-    """Whether an effect depends on what the links weigh."""
+    """Tells whether an effect depends on what the links weigh."""
     return any(driver.loaded for driver in effect.drivers)
 
 

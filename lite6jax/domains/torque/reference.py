@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm, as_revolute
+from lite6jax.array_types import Array, Mask
 from lite6jax.domains.torque.rows import bodies_of, require_joints
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
-from lite6jax.recordings.sequence import run_segments
-
-Array = NDArray[np.floating]
+from lite6jax.recordings.sequence import interpolate_columns, run_segments
 
 SAME_STATE = (5e-3, 5e-2)
 """rad and rad/s by which the states of two recordings of one motion differ at most, in nearly all rows: controllers
@@ -100,9 +98,7 @@ def compare_rows(recording: Recording, reference: Recording, arm: Arm) -> RowCom
     )
 
 
-def _at_times_of(
-    recording: Recording, reference: Recording, slides: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], Array] | None:
+def _at_times_of(recording: Recording, reference: Recording, slides: Mask) -> tuple[Mask, Array] | None:
     """Which rows are in the reference's state, and its torques `(sample, joint)` then; None where it is another motion.
 
     Rows of another state would be gaps in time: the ends of runs may be cut, but within a run nearly all rows match.
@@ -123,18 +119,13 @@ def _at_times_of(
         since, reference_times = (
             side[part] - side[part[0]] for side, part in ((recording.time, rows), (reference.time, reference_rows))
         )
-        at[rows] = _interpolated(since, reference_times, torque[reference_rows])
+        at[rows] = interpolate_columns(since, reference_times, torque[reference_rows])
         near = (since >= reference_times[0]) & (since <= reference_times[-1])
         for mine, its, tolerance, unit in zip(*states, SAME_STATE, ("rad", "rad/s"), strict=True):
-            away = np.abs(mine[rows] - _interpolated(since, reference_times, its[reference_rows]))
+            away = np.abs(mine[rows] - interpolate_columns(since, reference_times, its[reference_rows]))
             near &= as_revolute(away.T, unit, slides).max(0) <= tolerance
         if near.mean() < _NEARLY:
             return None
         first, last = np.flatnonzero(near)[[0, -1]]
         matching[rows[first : last + 1]] = True
     return matching, at
-
-
-def _interpolated(time: Array, sample_times: Array, rows: Array) -> Array:
-    """`(sample, joint)` at times, of rows at known times; beyond the ends the last ones."""
-    return np.stack([np.interp(time, sample_times, column) for column in rows.T], 1)

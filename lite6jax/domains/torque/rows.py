@@ -6,10 +6,10 @@ from typing import final
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters, recorded_regressor
+from lite6jax.arms.dynamics import declared_links, recorded_regressor
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.filtering import (
     LowPass,
     Smoothed,
@@ -27,8 +27,6 @@ from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
 from lite6jax.recordings.units import other_joints
-
-Array = NDArray[np.floating]
 
 
 @final
@@ -133,15 +131,15 @@ class TorqueRows:
     torque: Array
     recorded: LowPass
     filter: LowPass
-    rows: NDArray[np.integer]
+    rows: Integers
     motion_cutoff: float
     slack: Array | None = None
     turning: Array | None = None
-    repeated: NDArray[np.bool_] | None = None
+    repeated: Mask | None = None
 
     @property
     def motion(self) -> Motion:
-        """Of every sample."""
+        """The motion of every sample."""
         return self.bodies.motion
 
     @cached_property
@@ -151,7 +149,7 @@ class TorqueRows:
         return self.recording.time[self.recorded.kept]
 
     @cached_property
-    def runs(self) -> NDArray[np.integer]:
+    def runs(self) -> Integers:
         """`(kept,)`, the run of each sample that is kept."""
         return self.filter.runs[self.filter.kept]
 
@@ -207,7 +205,7 @@ def bodies_of(recording: Recording, arm: Arm) -> tuple[RigidBodies, LowPass, flo
     )
     settings = recording.settings
     center = arm.T_joint_flange[:3, :3] @ np.array(settings.payload_com_m) + arm.T_joint_flange[:3, 3]
-    links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+    links = declared_links(arm)
     gravity = np.array(settings.gravity_m_per_s2)
     bodies = RigidBodies(moved, links, center, gravity, np.asarray(arm.kinematics), declared_torque(arm, moved))
     return bodies, chosen, smooth.cutoff
@@ -233,7 +231,7 @@ def torque_rows(recording: Recording, arm: Arm, torque: Array) -> TorqueRows:
     return TorqueRows(recording, arm, bodies, torque, chosen, samples, rows, cutoff)
 
 
-def _thinned(bodies: RigidBodies, arm: Arm, samples: LowPass, rows: NDArray[np.integer]) -> RigidBodies:
+def _thinned(bodies: RigidBodies, arm: Arm, samples: LowPass, rows: Integers) -> RigidBodies:
     """The dynamics at some rows, each of which stands for those around it."""
     motion = jax.tree.map(lambda leaf: leaf[..., rows], bodies.motion)
     first, end = (np.searchsorted(motion.run[0], motion.run[0], side) for side in ("left", "right"))

@@ -5,10 +5,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from lite6jax.arms.arm import Arm, as_revolute, by_kind, joint_size, joint_unit
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.faults import LIMIT_SLACK_RAD, Screened, whole_turns
 from lite6jax.domains.torque.filtering import each_posture, evenly_timed, runs_of, sample_rate, spikes, without_spikes
 from lite6jax.domains.torque.hypotheses import computed_torque, correct_faults, correct_signs
@@ -27,9 +27,6 @@ from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.motion import at_positions, without_turns
 from lite6jax.recordings.placeholders import Mark, possible_marks, without_marks
 from lite6jax.recordings.sequence import run_segments, stretches
-
-Array = NDArray[np.floating]
-Flags = NDArray[np.bool_]
 
 _LEAST_MOTION = 0.02
 """rad over which one joint moves at least, 2 mm of a prismatic one; noise of encoders is far below."""
@@ -146,7 +143,7 @@ def _without_placeholders(state: Screened[Recording], still: bool) -> Screened[R
     recording = state.data
     recorded = field_values(recording)
 
-    def far(mark: Mark, rows: NDArray[np.integer], lost: Flags) -> NDArray[np.integer]:
+    def far(mark: Mark, rows: Integers, lost: Mask) -> Integers:
         values = recorded[mark.array]
         of_positions = mark.array == "joint_position"
         if mark.value is None or (mark.column is not None and (still or not of_positions)):
@@ -350,7 +347,7 @@ def _require_motion(recording: Recording, arm: Arm) -> None:
         )
 
 
-def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np.bool_], list[DataFault]]:
+def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[Mask, list[DataFault]]:
     """Samples `(sample,)` in which something else pushed the arm, and a data fault for each such event.
 
     They are few, together, and far from a model that has everything which most arms have; physics of the arm recurs.
@@ -400,7 +397,7 @@ def contacts(problem: TorqueProblem, options: EngineOptions) -> tuple[NDArray[np
     return inside, faults
 
 
-def _joined(far: NDArray[np.bool_], time: Array, runs: NDArray[np.integer]) -> NDArray[np.bool_]:
+def _joined(far: Mask, time: Array, runs: Integers) -> Mask:
     """With the samples between those that are far away, where these are near each other in time."""
     inside = far.copy()
     at = np.flatnonzero(far)
@@ -421,11 +418,11 @@ class RestFriction(NamedTuple):
     """
 
     slack: Array
-    repeated: NDArray[np.bool_]
+    repeated: Mask
     found: tuple[DataFault, ...]
 
 
-def at_rest(data: TorqueRows) -> Flags:
+def at_rest(data: TorqueRows) -> Mask:
     """`(joint, sample)`, whether a joint rests for a quarter of a second or more around each sample."""
     speed = np.abs(as_revolute(np.asarray(data.motion.joint_velocity), "rad/s", data.arm.slides))
     slow = speed <= DIRECTION_SPEED
@@ -462,7 +459,7 @@ def held_by_friction(data: TorqueRows) -> RestFriction:
     if not joints:
         return RestFriction(slack, repeated, ())
 
-    def kept_samples(flags: Flags) -> list[tuple[slice, NDArray[np.integer]]]:
+    def kept_samples(flags: Mask) -> list[tuple[slice, Integers]]:
         spans = stretches(flags, data.filter.runs)
         return [(span, filtered_rows[(filtered_rows >= span.start) & (filtered_rows < span.stop)]) for span in spans]
 
@@ -482,7 +479,7 @@ def held_by_friction(data: TorqueRows) -> RestFriction:
     return RestFriction(slack, repeated, (DataFault("held_by_friction", rows, numbers),))
 
 
-def _around(still: Flags, data: TorqueRows) -> Flags:
+def _around(still: Mask, data: TorqueRows) -> Mask:
     """`(joint, sample)`, rest and the samples beside it, in which the low passes show what was at rest."""
     cutoff = min(data.motion_cutoff, data.filter.cutoff)
     reach = int(np.ceil(data.filter.rate / cutoff))
@@ -538,7 +535,7 @@ class _InMotion(NamedTuple):
     doubt: Array
 
 
-def _left_at_rest(data: TorqueRows, j: int, resting: Flags, moving: Flags) -> float:
+def _left_at_rest(data: TorqueRows, j: int, resting: Mask, moving: Mask) -> float:
     """Nm RMS that a model of a joint in motion leaves at rest; 0 where that is noise, or more than friction holds."""
     model = _in_motion(data, j, moving)
     if model is None:
@@ -551,7 +548,7 @@ def _left_at_rest(data: TorqueRows, j: int, resting: Flags, moving: Flags) -> fl
     return float(np.sqrt(np.mean(residual**2)))
 
 
-def _in_motion(data: TorqueRows, j: int, moving: Flags) -> _InMotion | None:
+def _in_motion(data: TorqueRows, j: int, moving: Mask) -> _InMotion | None:
     """The model of a joint, fitted to the samples `(kept,)` in which it moves; None where these are too few."""
     velocity = np.asarray(data.motion.joint_velocity)[:, data.filter.kept]
     acceleration = np.asarray(data.motion.joint_acceleration)[j, data.filter.kept]

@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.faults import Screened, SuspectedFault
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.tracking.following import (
@@ -39,13 +39,10 @@ from lite6jax.domains.tracking.rows import (
     tracking_rows,
 )
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.settings import ServoSettings
-
-Array = NDArray[np.floating]
 
 _LEAST_MOVED = 1e-3
 """rad, the standard deviation of read-outs likewise: those of commands in degrees move little beside these."""
@@ -120,7 +117,7 @@ def require_motion(even: Recording) -> None:
         )
 
 
-def _moving(even: Recording) -> NDArray[np.integer]:
+def _moving(even: Recording) -> Integers:
     """The joints, from 0, whose commands and read-outs move."""
     command = np.asarray(even.commanded_position)
     return np.flatnonzero((np.std(command, 0) > MOVING) & (np.std(even.joint_position, 0) > _LEAST_MOVED))
@@ -245,7 +242,7 @@ def _at_times(recording: Recording, drift: float, constant: float) -> tuple[Reco
 # ------------------------------------------------------------------ order, signs, units and gears
 
 
-def _correlations(recording: Recording) -> tuple[NDArray[np.integer], Array]:
+def _correlations(recording: Recording) -> tuple[Integers, Array]:
     """The joints, from 0, that move, and how read-outs of each `(row)` follow commands of each `(column)`."""
     even = even_rows(recording)
     moving = _moving(even)

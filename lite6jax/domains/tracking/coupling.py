@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters, recorded_torques
+from lite6jax.arms.dynamics import declared_links, recorded_torques
+from lite6jax.array_types import Array
 from lite6jax.domains.tracking.rollout import GRIP, Commands, Coupling, Rolled, roll
 from lite6jax.effects.dynamic import OfLink, point_mass
 from lite6jax.effects.servo import RIGID_GRIP, Servo
-
-Array = NDArray[np.floating]
 
 _SWEEPS = 12
 """Rollouts at most, each along the motion of the one before."""
@@ -59,9 +57,9 @@ class Bodies:
 
     @classmethod
     def of_arm(cls, arm: Arm, payload: float, center: Array, gravity: Array) -> "Bodies":
-        """Of an arm, with a payload in kg whose centre `(3,)` m is in the flange's frame; without masses, of none."""
+        """Takes an arm, and a payload in kg with its centre `(3,)` m in the flange's frame; without masses, none."""
         at = arm.T_joint_flange[:3, :3] @ np.asarray(center, float) + arm.T_joint_flange[:3, 3]
-        links = np.zeros((arm.dof, 10)) if arm.mass is None else np.array(link_parameters(arm))
+        links = declared_links(arm)
         links[-1] += point_mass(payload, at)
         return cls(np.asarray(arm.kinematics), links, at, np.asarray(gravity, float), payload)
 

@@ -6,8 +6,8 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.entries import Document, JointModelEntry, Mass, Ranges, joint_fields, shared_fields
 from lite6jax.domains.tracking.predict import DiagnosedServos
 from lite6jax.domains.tracking.ranges import FittedRange
@@ -16,8 +16,6 @@ from lite6jax.effects.effect import Effect
 from lite6jax.effects.servo import Servo
 from lite6jax.estimation.terms import Terms, join
 from lite6jax.storage import NonNegative
-
-Array = NDArray[np.floating]
 
 
 class TrackingModelEntry(JointModelEntry, kw_only=True):
@@ -80,7 +78,7 @@ class TrackingDocument(Document[TrackingModelEntry], kw_only=True):
 
 def model_entry(model: DiagnosedServos, covariances: Sequence[Array]) -> dict[str, Any]:
     """A model as values that JSON can hold, with covariances of the numbers of each effect."""
-    parts: list[tuple[Any, slice]] = list(zip(model.terms.terms, model.terms.slices, strict=True))
+    parts: list[tuple[Any, slice]] = [*model.terms.pairs]
     reversal = [] if model.ranges.reversal is None else model.ranges.reversal.tolist()
     return {
         **joint_fields(model),

@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.source import declared_arm_of
 from lite6jax.domains.tracking.model import TrackingModel, compose
 from lite6jax.domains.tracking.peers import best_delay
@@ -23,12 +24,9 @@ from lite6jax.effects.servo import CommandDelay, ServoDamping, ServoStiffness
 from lite6jax.errors import InputError, require_type
 from lite6jax.estimation.least_squares import Fit, fit, relinearise
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.score_test import remaining_noise_model
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording
-
-Array = NDArray[np.floating]
 
 _USUAL = (ServoStiffness, ServoDamping, CommandDelay, CoulombFriction, RotorInertia)
 """What is fitted of each joint where nothing else is asked for."""
@@ -83,7 +81,7 @@ class ServoFit:
         Those of stiffness and damping are ratios to `start`.
         """
         by_label = {}
-        for term, part in zip(self.fit.terms.terms, self.fit.terms.slices, strict=True):
+        for term, part in self.fit.terms.pairs:
             assert isinstance(term, Effect)
             by_label[term.label] = term.reported(self.fit.values[part], self.fit.covariance[part, part])
         return by_label

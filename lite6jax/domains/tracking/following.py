@@ -7,15 +7,12 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.tracking.ranges import resting_loads, run_ends
 from lite6jax.domains.tracking.rows import period_of
-from lite6jax.estimation.problem import Mask
 from lite6jax.recordings import Recording
-
-Array = NDArray[np.floating]
 
 _EDGES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.5)
 """s, between which commands of the past are averaged: a servo answers in a part of that."""
@@ -47,7 +44,7 @@ class Follower(NamedTuple):
     remaining: Array
 
 
-def past_commands(command: Array, run: NDArray[np.integer], period: float) -> Array:
+def past_commands(command: Array, run: Integers, period: float) -> Array:
     """Averages of a command `(sample,)` over intervals of the past, `(interval, sample)`, at rest before each run."""
     edges = np.unique([round(edge / period) for edge in _EDGES] + [1])
     averages = np.empty((len(edges) - 1, len(command)))
@@ -122,7 +119,7 @@ class Lag(NamedTuple):
     correlation: float
 
 
-def scan_lags(even: Recording, joints: NDArray[np.integer], rows: slice) -> tuple[Array, Array]:
+def scan_lags(even: Recording, joints: Integers, rows: slice) -> tuple[Array, Array]:
     """Lags `(lag,)` s of either sign, and squared correlations `(lag, joint)` of some rows of one run at each."""
     period = period_of(even)
     every = max(1, round(_COARSE / period))
@@ -150,7 +147,7 @@ def _squared_correlations(u: Array, y: Array) -> Array:
 
 
 def likeliest_lag(lags: Array, squares: Array, within: Mask) -> float:
-    """Of lags `(lag,)` s that are within a range, the one at which joints together correlate most.
+    """The lag, of some `(lag,)` s that are within a range, at which joints together correlate most.
 
     A motion that repeats itself correlates at several: the shortest is taken.
     """
@@ -163,7 +160,7 @@ def likeliest_lag(lags: Array, squares: Array, within: Mask) -> float:
     return float(allowed[alike[np.argmin(np.abs(allowed[alike]))]])
 
 
-def followed(even: Recording, joints: NDArray[np.integer], rows: slice, lag: float, newest: float) -> Lag:
+def followed(even: Recording, joints: Integers, rows: slice, lag: float, newest: float) -> Lag:
     """How joints follow commands in some rows of one run.
 
     Commands that repeat themselves after a time are followed as closely at two lags: that tells nothing of their clock.

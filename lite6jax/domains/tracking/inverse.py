@@ -14,12 +14,10 @@ from collections.abc import Callable
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.tracking.rollout import hold_commands, roll
 from lite6jax.effects.servo import UNLIMITED, Servo
-
-Array = NDArray[np.floating]
 
 _ROUNDS = 12
 """Changes at most: the first leaves a fiftieth of the error where no joint sticks, further ones less and less."""

@@ -6,14 +6,12 @@ Both files must be stamped by one clock.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns.inspection import InspectedTable
 from lite6jax.recordings.columns.names import says_commanded
 from lite6jax.recordings.streams import Held, hold, in_order, said_of_commands
-
-Array = NDArray[np.floating]
 
 
 class JoinedCommands(NamedTuple):

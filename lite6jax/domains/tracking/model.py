@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.tracking.coupling import SETTLED, Bodies, JointLoads, roll_coupled
 from lite6jax.domains.tracking.rollout import CHANNELS, COMMAND, FRICTION, READ_OUT, TORQUE, Commands, roll
 from lite6jax.effects.dynamic import (
@@ -25,8 +25,6 @@ from lite6jax.effects.dynamic import (
 from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import Servo, TrackingEffect, change
 from lite6jax.estimation.terms import Terms
-
-Array = NDArray[np.floating]
 
 _FIELDS: dict[type[Effect], tuple[str, ...]] = {
     ViscousFriction: ("viscous",),
@@ -155,7 +153,7 @@ def with_effect(model: TrackingModel, effect: Effect, values: Array, coupled: bo
 def compose(base: TrackingModel, terms: Terms, values: Array, coupled: bool = True) -> TrackingModel:
     """A model with the effects that are some terms; arguments as of `with_effect`."""
     model = base
-    for term, part in zip(terms.terms, terms.slices, strict=True):
+    for term, part in terms.pairs:
         assert isinstance(term, Effect)
         model = with_effect(model, term, np.asarray(values[part], float), coupled)
     numbers = model.servo._asdict()

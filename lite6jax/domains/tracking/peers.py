@@ -7,13 +7,9 @@ from typing import Any
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.tracking.ranges import run_ends
-from lite6jax.estimation.problem import Mask
-
-Array = NDArray[np.floating]
-Runs = NDArray[np.integer]
 
 _DELAYS = np.arange(0.0, 0.4, 0.004)
 """s, of which the best constant delay of a joint is chosen."""
@@ -23,7 +19,7 @@ _STEPS = 60
 """Evaluations of a fit at most."""
 
 
-def fit_peers(command: Array, measured: Array, runs: Runs, period: float, training: Mask) -> dict[str, Array]:
+def fit_peers(command: Array, measured: Array, runs: Integers, period: float, training: Mask) -> dict[str, Array]:
     """The peers of a log on an even grid, fitted to the `training` `(sample,)` samples.
 
     Args:
@@ -42,7 +38,7 @@ def fit_peers(command: Array, measured: Array, runs: Runs, period: float, traini
     return {"commanded": command, "best_delay": late, "second_order": linear}
 
 
-def best_delay(command: Array, measured: Array, runs: Runs, period: float, training: Mask) -> Array:
+def best_delay(command: Array, measured: Array, runs: Integers, period: float, training: Mask) -> Array:
     """The commands `(joint, sample)` after the delay of each joint that fits the training samples best."""
     best = command.copy()
     least = np.full(len(command), np.inf)
@@ -58,7 +54,7 @@ def best_delay(command: Array, measured: Array, runs: Runs, period: float, train
     return best
 
 
-def _second_order(command: Array, measured: Array, runs: Runs, period: float, training: Mask) -> Array:
+def _second_order(command: Array, measured: Array, runs: Integers, period: float, training: Mask) -> Array:
     """`(sample,)` rad of one joint: k·u/(s²/w² + 2·z·s/w + 1) + o with w, z, k and o that fit best."""
 
     def follow(numbers: Array) -> Array:

@@ -5,13 +5,14 @@ them where they are wanted.
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters
+from lite6jax.arms.dynamics import declared_links
+from lite6jax.array_types import AnyArray, Array, Integers, Mask
 from lite6jax.domains.joint_model import JointModel
 from lite6jax.domains.torque.rows import RigidBodies
 from lite6jax.domains.tracking.coupling import Bodies, loads_along
@@ -20,7 +21,6 @@ from lite6jax.domains.tracking.model import TrackingModel, compose, roll_out
 from lite6jax.domains.tracking.ranges import (
     Beyond,
     FittedRange,
-    Runs,
     concatenate_beyond,
     differentiate,
     find_beyond,
@@ -41,16 +41,14 @@ from lite6jax.effects.dynamic import Dynamics, UnnamedInLoop, direction
 from lite6jax.effects.motion import motion_of
 from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings import Recording, RecordingSettings
 from lite6jax.recordings.files import read_commands
-from lite6jax.recordings.sequence import held_rows
+from lite6jax.recordings.sequence import held_rows, interpolate_columns
 from lite6jax.recordings.settings import ServoSettings
 from lite6jax.results import PublicResult
 
-Array = NDArray[np.floating]
-Columns = dict[str, NDArray[Any]]
+Columns = dict[str, AnyArray]
 
 _CREEPS_AT_LEAST = 100.0
 """s, the time constant of creeping from which friction holds a joint; MuJoCo's joints creep within some seconds."""
@@ -112,7 +110,7 @@ class CorrectedCommands(PublicResult):
     """
 
     time: Array
-    run: Runs
+    run: Integers
     wanted: Array
     command: Array
     before: Array
@@ -175,7 +173,7 @@ class _GivenMotion(NamedTuple):
     temperature: Array | None
 
 
-def holds_rigidly(servo: Servo) -> NDArray[np.bool_]:
+def holds_rigidly(servo: Servo) -> Mask:
     """`(joint,)`, whether dry friction holds a joint at rest for longer than motions take; no integral part lets it.
 
     A joint that creeps comes to where servo and load balance with the time constant G·B/kp.
@@ -363,7 +361,7 @@ class DiagnosedServos(JointModel):
             return self._correct_run(time[0] + np.array([0.0, self.step]), np.vstack([wanted, wanted]), twice)[:1]
         period = float(np.median(np.diff(time)))
         grid = time[0] + period * np.arange(int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1)
-        even = np.stack([np.interp(grid, time, column) for column in wanted.T], 1)
+        even = interpolate_columns(grid, time, wanted)
         held = held_rows(time, grid, period)
         even_warmth = None if warmth is None else warmth[held]
 
@@ -374,7 +372,7 @@ class DiagnosedServos(JointModel):
         mass = model.bodies.masses(even.T).mean(1)
         response = responses(model.servo, mass, period, self.step, self.interpolated)
         command = correct(follow, even, response, period, self.joint_limits).command
-        return np.stack([np.interp(time, grid, column) for column in command.T], 1)
+        return interpolate_columns(time, grid, command)
 
     def _predict_run(self, time: Array, command: Array, warmth: Array | None) -> tuple[Array, Beyond]:
         """`(sample, joint)` rad, and where it is beyond what was fitted, of one run."""
@@ -395,7 +393,7 @@ class DiagnosedServos(JointModel):
         held = held_rows(time, grid, period)
         u = command[held]
         if self.interpolated:
-            u = np.stack([np.interp(grid, time, column) for column in command.T], 1)
+            u = interpolate_columns(grid, time, command)
         run = np.zeros(len(u), int)
         begun = u
         if self.friction_share is not None:
@@ -409,7 +407,7 @@ class DiagnosedServos(JointModel):
         of_driver = self._driver_beyond(readout, given)[before:]
         beyond = find_beyond(self.ranges, self.bodies, readout[:, before:], period)._replace(driver=of_driver)
         of_run = grid[before:]
-        position = np.stack([np.interp(time, of_run, row[before:]) for row in readout], 1)
+        position = interpolate_columns(time, of_run, readout[:, before:].T)
         rows = held_rows(of_run, time, period)
         return position, beyond.at(rows)
 
@@ -502,7 +500,7 @@ def describe_servos(
     return DiagnosedServos(
         arm=arm,
         servo=servo,
-        links=np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm)),
+        links=declared_links(arm),
         payload_center=bodies.payload_center,
         payload=payload,
         gravity=gravity,
@@ -516,7 +514,7 @@ def describe_servos(
     )
 
 
-def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints: int) -> tuple[Array, Array, Runs]:
+def _checked(time: ArrayLike, command: ArrayLike, run: ArrayLike | None, joints: int) -> tuple[Array, Array, Integers]:
     """The arguments of `DiagnosedServos.predict` as arrays."""
     t = np.asarray(time, float)
     u = np.asarray(command, float)
@@ -557,7 +555,7 @@ def commands_to_follow(model: DiagnosedServos, motion: Recording) -> CorrectedCo
     return model.commands_for(*_commands_in(model, motion))
 
 
-def _commands_in(model: DiagnosedServos, motion: Recording) -> tuple[Array, Array, Runs, Array | None]:
+def _commands_in(model: DiagnosedServos, motion: Recording) -> tuple[Array, Array, Integers, Array | None]:
     """Times, commands, runs and, where they are known, temperatures of joints of a motion of the diagnosed arm."""
     if motion.dof != model.dof:
         raise InputError(f"{motion.source}: has {motion.dof} joints, the diagnosed arm {model.dof}")

@@ -6,14 +6,10 @@ from itertools import pairwise
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.tracking.coupling import Bodies
 from lite6jax.domains.uncertainty import MARGIN
-from lite6jax.estimation.problem import Mask
-
-Array = NDArray[np.floating]
-Runs = NDArray[np.integer]
 
 _LEAST_RANGE = 1e-3
 """rad/s or Nm, that a fitted range counts as at least."""
@@ -59,7 +55,7 @@ class Beyond(NamedTuple):
         """`(sample,)`, where any joint is beyond in any way."""
         return np.any(np.hstack(self), axis=1)
 
-    def at(self, samples: Runs | Sequence[int]) -> "Beyond":
+    def at(self, samples: Integers | Sequence[int]) -> "Beyond":
         """That of some of the samples."""
         return Beyond(*(mask[samples] for mask in self))
 
@@ -78,7 +74,7 @@ class Beyond(NamedTuple):
         return {name: int(mask.sum()) for name, mask in self.by_joint.items()}
 
 
-def range_of(bodies: Bodies, position: Array, period: float, runs: Runs) -> FittedRange:
+def range_of(bodies: Bodies, position: Array, period: float, runs: Integers) -> FittedRange:
     """The range of a rollout.
 
     Args:
@@ -106,7 +102,7 @@ def find_beyond(ranges: FittedRange, bodies: Bodies, position: Array, period: fl
     )
 
 
-def reversals(position: Array) -> NDArray[np.integer]:
+def reversals(position: Array) -> Integers:
     """The samples at which a joint reverses, of its positions `(sample,)` rad: it turns back from there clearly."""
     steps = np.sign(np.diff(position))
     moving = np.flatnonzero(steps)
@@ -129,7 +125,7 @@ def reversals(position: Array) -> NDArray[np.integer]:
     return np.array(found, int)
 
 
-def run_ends(runs: Runs) -> tuple[list[int], list[int]]:
+def run_ends(runs: Integers) -> tuple[list[int], list[int]]:
     """Where each run begins, and where it has ended."""
     begins = np.flatnonzero(np.r_[True, np.diff(runs) != 0])
     return begins.tolist(), [*begins[1:].tolist(), len(runs)]
@@ -147,7 +143,7 @@ def differentiate(position: Array, period: float) -> Array:
     return np.gradient(position, period, axis=1)
 
 
-def differentiate_runs(position: Array, period: float, runs: Runs) -> Array:
+def differentiate_runs(position: Array, period: float, runs: Integers) -> Array:
     """`(joint, sample)` rad/s, each run on its own; arguments as of `range_of`."""
     velocity = np.empty(position.shape)
     for first, last in zip(*run_ends(runs), strict=True):

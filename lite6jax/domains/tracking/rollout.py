@@ -30,12 +30,10 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.effects.servo import UNLIMITED, Servo
 from lite6jax.few_shapes import filled, filled_size
-
-Array = NDArray[np.floating]
 
 LONGEST_STEP = 0.001
 """s, of an integration step: by half of it the rollouts of arms change by a few µrad."""
@@ -102,8 +100,8 @@ class Commands(NamedTuple):
     """
 
     integral: Array
-    reset: NDArray[np.bool_]
-    first: NDArray[np.integer]
+    reset: Mask
+    first: Integers
     start: Array
     velocity: Array
     period: float
@@ -111,7 +109,7 @@ class Commands(NamedTuple):
     interpolated: bool = False
 
     @property
-    def end(self) -> NDArray[np.integer]:
+    def end(self) -> Integers:
         """`(sample,)`, the sample before which its run ends."""
         edges = np.r_[np.flatnonzero(self.reset), self.samples]
         return np.repeat(edges[1:], np.diff(edges))
@@ -142,7 +140,7 @@ class Commands(NamedTuple):
 
 def hold_commands(
     command: Array,
-    run: NDArray[np.integer],
+    run: Integers,
     period: float,
     start: Array,
     velocity: Array | None = None,
@@ -168,7 +166,7 @@ def hold_commands(
     return Commands(integral, reset, first, np.asarray(start, float), v, period, steps, interpolated)
 
 
-def _integrate(command: Array, reset: NDArray[np.bool_], period: float, steps: int, interpolated: bool) -> Array:
+def _integrate(command: Array, reset: Mask, period: float, steps: int, interpolated: bool) -> Array:
     """`(lane, sample · steps + 1)` rad·s, the integral of commands `(lane, sample)` rad; as of `Commands`."""
     following = np.hstack([command[:, 1:], command[:, -1:]])
     last = np.r_[reset[1:], True]
@@ -227,10 +225,10 @@ class Coupling(NamedTuple):
 def roll(
     servo: Servo,
     commands: Commands,
-    joints: NDArray[np.integer],
+    joints: Integers,
     load: Array,
     mass: Array,
-    columns: NDArray[np.integer] | None = None,
+    columns: Integers | None = None,
     extra: Array | None = None,
     weight: Array | None = None,
     fine: bool = False,
@@ -318,7 +316,7 @@ def _filled_joints(joints: int) -> int:
 
 
 class _LaneState(NamedTuple):
-    """Of each lane, between two steps.
+    """The state of each lane, between two steps.
 
     Attributes:
         q: rad, at the step.

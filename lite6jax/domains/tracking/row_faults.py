@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.faults import Screened
 from lite6jax.domains.tracking.column_faults import with_readouts
 from lite6jax.domains.tracking.following import fit_follower, past_commands, weight_features
@@ -14,12 +14,9 @@ from lite6jax.domains.tracking.problem import tracking_problem
 from lite6jax.domains.tracking.ranges import run_ends
 from lite6jax.domains.tracking.rows import FOLLOWS, SAME, TrackingRows, lagged_correlation, quantum, tracking_rows
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Terms
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import stretches
-
-Array = NDArray[np.floating]
 
 _BEGINNING = 0.02
 """s, or one sample, of each of two steps with which a run begins."""
@@ -104,7 +101,7 @@ class ScreenedTracking(Screened[TrackingRows]):
         return replace(self.with_faults([fault]), unusable=self.unusable | rows)
 
     def can_spare(self, rows: Mask) -> bool:
-        """Whether enough rows remain without more of them."""
+        """Tells whether enough rows remain without more of them."""
         return bool(np.mean(self.unusable | rows) <= 1 - _FEWEST_ROWS)
 
 
@@ -250,8 +247,8 @@ def _saturated(data: TrackingRows, joint: int, sign: float, rows: Mask) -> Mask 
     return end
 
 
-def _from_the_start(rows: Mask, run: NDArray[np.integer]) -> Mask:
-    """Of rows those from the beginning of their run on: a joint that has not moved yet has reached no end."""
+def _from_the_start(rows: Mask, run: Integers) -> Mask:
+    """The rows of some from the beginning of their run on: a joint that has not moved yet has reached no end."""
     begins = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
     others = np.cumsum(~rows)
     before = np.repeat(others[begins] - ~rows[begins], np.diff(np.append(begins, len(run))))
@@ -307,7 +304,7 @@ def _torques(data: TrackingRows) -> list[Array]:
 
 
 def _at_limit(torque: Array, error: Array) -> bool:
-    """Whether a torque `(sample,)` Nm, without damping, is mostly along the one that is asked for.
+    """Tells whether a torque `(sample,)` Nm, without damping, is mostly along the one that is asked for.
 
     With the damping, a joint that falls and brakes would be as well.
     """
@@ -364,7 +361,7 @@ def _weak(data: TrackingRows, followed: list[_Followed]) -> Mask:
 
 
 def _idle(data: TrackingRows, joint: int, first: int, last: int) -> bool:
-    """Whether a joint, from 0, does not follow its command, which moves, from a row up to another."""
+    """Tells whether a joint, from 0, does not follow its command, which moves, from a row up to another."""
     command = np.asarray(data.recording.commanded_position)[first:last, joint]
     measured = data.measured[joint, first:last]
     if np.ptp(command) < _FAR:
@@ -385,7 +382,7 @@ def _still(data: TrackingRows) -> Mask:
     return span < _AT_REST + 2 * _LEVEL * data.noise[:, None]
 
 
-def _intervals(rows: Mask, run: NDArray[np.integer], period: float) -> list[tuple[int, int]]:
+def _intervals(rows: Mask, run: Integers, period: float) -> list[tuple[int, int]]:
     """Where rows are true for long enough, from one up to another, within runs; short breaks do not count."""
     joined = np.asarray(ndimage.binary_closing(rows, iterations=max(1, round(_JOINED / period / 2))), bool) | rows
     return [
@@ -393,7 +390,7 @@ def _intervals(rows: Mask, run: NDArray[np.integer], period: float) -> list[tupl
     ]
 
 
-def _whole_absence(away: Mask, run: NDArray[np.integer], first: int, last: int, more: int) -> tuple[int, int]:
+def _whole_absence(away: Mask, run: Integers, first: int, last: int, more: int) -> tuple[int, int]:
     """An interval with what is before and after it of the same absence, in its run."""
     rows = away.copy()
     rows[first:last] = True
@@ -484,7 +481,7 @@ def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:
     return offsets - offsets[_nearest_run(data, joint, offsets, number)]
 
 
-def _nearest_run(data: TrackingRows, joint: int, offsets: Array, number: NDArray[np.integer]) -> int:
+def _nearest_run(data: TrackingRows, joint: int, offsets: Array, number: Integers) -> int:
     """The run whose zero is nearest to the description's: its read-outs are nearest to its commands in the mean."""
     command = np.asarray(data.recording.commanded_position)[:, joint]
     shares = np.bincount(number) / len(number)

@@ -6,10 +6,10 @@ from typing import Any, final
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
-from lite6jax.arms.dynamics import link_parameters
+from lite6jax.arms.dynamics import declared_links
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.filtering import low_pass, runs_of, smoothed, spectra
 from lite6jax.domains.torque.rows import RigidBodies, require_joints
 from lite6jax.domains.tracking.coupling import Bodies
@@ -22,10 +22,8 @@ from lite6jax.effects.servo import Servo
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import motion_of_recording
-from lite6jax.recordings.sequence import held_rows
+from lite6jax.recordings.sequence import held_rows, interpolate_columns
 from lite6jax.recordings.settings import RecordingSettings, ServoSettings
-
-Array = NDArray[np.floating]
 
 FLOOR = 3e-5
 """rad, by which rollouts of two simulators of the same arm differ; noise counts as at least that."""
@@ -118,7 +116,7 @@ class TrackingRows:
 
     @property
     def has_masses(self) -> bool:
-        """Whether the masses of the arm's links are known."""
+        """Tells whether the masses of the arm's links are known."""
         return self.arm.mass is not None and bool(self.bodies.links.any())
 
     @cached_property
@@ -136,7 +134,7 @@ class TrackingRows:
         """The arm along the measured motion."""
         arm = self.arm
         settings = self.recording.settings
-        links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+        links = declared_links(arm)
         center = self.bodies.payload_center
         gravity = np.array(settings.gravity_m_per_s2)
         return RigidBodies(self.motion, links, center, gravity, np.asarray(arm.kinematics)).dynamics(links)
@@ -210,8 +208,8 @@ def even_rows(recording: Recording) -> Recording:
     period = stamps.period
     names = ("commanded_position", "payload", "joint_temperature", "ambient_temperature")
     parts: dict[str, list[Array]] = {name: [] for name in ("time", "joint_position", *names)}
-    rows: list[NDArray[np.integer]] = []
-    runs: list[NDArray[np.integer]] = []
+    rows: list[Integers] = []
+    runs: list[Integers] = []
     for number, piece in enumerate(stamps.pieces):
         t = time[piece]
         grid = t[0] + period * np.arange(int(np.floor((t[-1] - t[0]) / period + 1e-6)) + 1)
@@ -219,9 +217,7 @@ def even_rows(recording: Recording) -> Recording:
         rows.append(recording.row[held])
         runs.append(np.full(len(grid), number))
         parts["time"].append(grid)
-        parts["joint_position"].append(
-            np.stack([np.interp(grid, t, column) for column in recording.joint_position[piece].T], 1)
-        )
+        parts["joint_position"].append(interpolate_columns(grid, t, recording.joint_position[piece]))
         for name, values in zip(names, _held_columns(recording), strict=True):
             if values is not None:
                 parts[name].append(values[held])
@@ -250,24 +246,22 @@ def declared_servo(settings: RecordingSettings, arm: Arm, bodies: Bodies) -> tup
     """The servos `(joint,)` of a sidecar, and whether it declares them; with the friction and rotors of the arm."""
     joints = arm.dof
     given = settings.servo
-    known = isinstance(given, ServoSettings)
-    kp = np.array(given.stiffness_Nm_per_rad) if isinstance(given, ServoSettings) else np.full(joints, 100.0)
-    kd = np.array(given.damping_Nm_s_per_rad) if isinstance(given, ServoSettings) else np.full(joints, 5.0)
-    delay = given.delay_s if isinstance(given, ServoSettings) else 0.0
     fields = {"viscous": arm.viscous_friction, "coulomb": arm.coulomb_friction, "inertia": arm.rotor_inertia}
     of_arm = {name: np.array(numbers, float) for name, numbers in fields.items() if numbers is not None}
     if arm.spring_stiffness is not None and arm.spring_rest is not None:
         of_arm["spring"] = np.array(arm.spring_stiffness)
         of_arm["spring_torque"] = -arm.spring_stiffness * arm.spring_rest
-    if isinstance(given, ServoSettings):
-        if given.torque_limit_Nm is not None:
-            of_arm["torque_limit"] = np.array(given.torque_limit_Nm)
-        if given.time_constant_s is not None:
-            of_arm["time_constant"] = np.array(given.time_constant_s)
-    if not known:  # its damping is that of the servo and of friction: nothing in a log tells one from the other
+    if not isinstance(given, ServoSettings):
+        # its damping is that of the servo and of friction: nothing in a log tells one from the other
         of_arm.pop("viscous", None)
-    servo = Servo.ideal(kp, kd)._replace(delay=np.full(joints, delay), grip=bodies.grip, **of_arm)
-    return servo, known
+        usual = Servo.ideal(np.full(joints, 100.0), np.full(joints, 5.0))
+        return usual._replace(delay=np.zeros(joints), grip=bodies.grip, **of_arm), False
+    if given.torque_limit_Nm is not None:
+        of_arm["torque_limit"] = np.array(given.torque_limit_Nm)
+    if given.time_constant_s is not None:
+        of_arm["time_constant"] = np.array(given.time_constant_s)
+    servo = Servo.ideal(np.array(given.stiffness_Nm_per_rad), np.array(given.damping_Nm_s_per_rad))
+    return servo._replace(delay=np.full(joints, given.delay_s), grip=bodies.grip, **of_arm), True
 
 
 def quantum(values: Array) -> float:
@@ -295,7 +289,7 @@ def _beginnings(even: Recording) -> list[Array]:
     return beginnings
 
 
-def begins_at_rest(even: Recording, noise: Array) -> NDArray[np.bool_]:
+def begins_at_rest(even: Recording, noise: Array) -> Mask:
     """`(joint, run)`, whether joints rest where runs of an even recording begin, in noise `(joint,)` rad."""
     return np.stack([np.ptp(part, 0) < 2 * _MOVED * noise for part in _beginnings(even)], 1)
 

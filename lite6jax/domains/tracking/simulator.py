@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.simulator import SimulatedMotion, Simulator
+from lite6jax.array_types import Array
 from lite6jax.domains.torque.rows import require_joints
 from lite6jax.domains.tracking.coupling import loads_along
 from lite6jax.domains.tracking.model import TrackingModel, roll_out
@@ -17,8 +17,6 @@ from lite6jax.domains.tracking.rows import TrackingRows, even_rows, period_of
 from lite6jax.errors import InputError
 from lite6jax.recordings import Recording
 from lite6jax.recordings.settings import ServoSettings
-
-Array = NDArray[np.floating]
 
 _DIFFERENT = 6e-5
 """rad RMS of a joint, from which two rollouts of one model are said to differ: some times what its steps are worth."""

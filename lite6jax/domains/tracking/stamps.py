@@ -5,15 +5,12 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.errors import InputError
-from lite6jax.estimation.problem import Mask
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import LONGEST_GAP, run_segments
-
-Array = NDArray[np.floating]
 
 _FEWEST = 50
 """Steps of time of a recording at least."""
@@ -39,8 +36,8 @@ class Stamps:
     """
 
     time: Array
-    run: NDArray[np.integer]
-    row: NDArray[np.integer]
+    run: Integers
+    row: Integers
 
     @cached_property
     def steps(self) -> Array:
@@ -68,7 +65,7 @@ class Stamps:
         return np.r_[False, self.steps > LONGEST_GAP * self.period]
 
     @cached_property
-    def pieces(self) -> list[NDArray[np.integer]]:
+    def pieces(self) -> list[Integers]:
         """The rows, from 0, of each run without repeated stamps, gaps and times that go back; of two rows at least."""
         begins = np.r_[True, np.isnan(self.steps)] | self.goes_back | self.after_gap
         used = np.flatnonzero(~self.repeated)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Integers
 from lite6jax.domains.tracking.ranges import resting_loads, run_ends
 from lite6jax.domains.tracking.rows import SAME, TrackingRows
 from lite6jax.effects.catalogue import Untestable, tracking_catalogue
@@ -22,9 +22,6 @@ from lite6jax.effects.servo import (
     ServoFeedforward,
     ServoStiffness,
 )
-
-Array = NDArray[np.floating]
-Joints = NDArray[np.integer]
 
 _WITHIN_NOISE = 10.0
 """Standard deviations of the noise: the range of the read-outs of a joint at rest is less."""
@@ -97,10 +94,13 @@ def undetermined(data: TrackingRows) -> list[Undetermined]:
     moving = np.setdiff1d(joints, held)
     reverses = np.array([_reverses(data, joint) for joint in moving.tolist()], bool)
     weights = resting_loads(data.bodies, data.measured)
-    constant = np.setdiff1d(_under_constant_load(weights), resting)
+    # none where masses are not known
+    weighed = np.flatnonzero(np.sqrt(np.mean(weights**2, 1)) > _LEAST_WEIGHT)
+    steady = np.flatnonzero(np.std(weights, 1) < _CONSTANT * np.abs(np.mean(weights, 1)))
+    constant = np.setdiff1d(np.intersect1d(steady, weighed), resting)
     of_joint = [effect for effect in tracking_catalogue(1) if isinstance(effect, OfJoint)]
     of_load = [ServoStiffness.name, EncoderOffset.name]
-    if len(constant) and not len(np.setdiff1d(_weighed(weights), constant)):
+    if len(constant) and not len(np.setdiff1d(weighed, constant)):
         of_load.append(PayloadTorque.name)
     friction = CoulombFriction.name
     reasons = [
@@ -120,12 +120,12 @@ def undetermined(data: TrackingRows) -> list[Undetermined]:
     return listed
 
 
-def _held(data: TrackingRows) -> Joints:
+def _held(data: TrackingRows) -> Integers:
     """The joints, from 0, whose commands never move."""
     return np.flatnonzero(np.ptp(np.asarray(data.recording.commanded_position), 0) < SAME)
 
 
-def _resting(data: TrackingRows) -> Joints:
+def _resting(data: TrackingRows) -> Integers:
     """Those of them whose read-outs move by no more than noise; others give way to the motion of the arm."""
     # of joints at rest read-outs differ from row to row by noise alone, also where it is not declared
     differences = np.median(np.abs(np.diff(data.measured, axis=1)), 1)
@@ -135,7 +135,7 @@ def _resting(data: TrackingRows) -> Joints:
 
 
 def _reverses(data: TrackingRows, joint: int) -> bool:
-    """Whether the command of a joint, from 0, goes to and fro in any run."""
+    """Tells whether the command of a joint, from 0, goes to and fro in any run."""
     command = np.asarray(data.recording.commanded_position)[:, joint]
     least = max(_REVERSES * float(np.ptp(command)), _LEAST_REVERSAL)
     for first, last in zip(*run_ends(data.recording.run), strict=True):
@@ -147,8 +147,8 @@ def _reverses(data: TrackingRows, joint: int) -> bool:
     return False
 
 
-def _restless(data: TrackingRows, joints: Joints) -> Joints:
-    """Of some joints, from 0, those whose command never holds still."""
+def _restless(data: TrackingRows, joints: Integers) -> Integers:
+    """The joints, of some counted from 0, whose command never holds still."""
     command = np.asarray(data.recording.commanded_position)[:, joints]
     steps = max(1, round(_REST / data.commands.period))
     holds = (np.abs(np.diff(command, axis=0)) < SAME) & (np.diff(data.recording.run) == 0)[:, None]
@@ -157,14 +157,3 @@ def _restless(data: TrackingRows, joints: Joints) -> Joints:
         return joints
     longest = np.max(counted[steps:] - counted[:-steps], 0)
     return joints[longest < steps]
-
-
-def _weighed(weights: Array) -> Joints:
-    """The joints, from 0, on which the arm's weight `(joint, sample)` Nm acts; none where masses are not known."""
-    return np.flatnonzero(np.sqrt(np.mean(weights**2, 1)) > _LEAST_WEIGHT)
-
-
-def _under_constant_load(weights: Array) -> Joints:
-    """Those of them on which the weight hardly varies."""
-    constant = np.flatnonzero(np.std(weights, 1) < _CONSTANT * np.abs(np.mean(weights, 1)))
-    return np.intersect1d(constant, _weighed(weights))

@@ -8,14 +8,13 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import AnyArray, Array, Integers
 from lite6jax.recordings.columns.names import spoken_words
 
-Array = NDArray[np.floating]
 Words = Sequence[str]
 """One a row; empty where the cell is."""
 
@@ -162,7 +161,7 @@ class Points(NamedTuple):
     counts: tuple[int, ...]
     points: tuple[tuple[str, ...], ...]
     values: tuple[str, ...]
-    state: NDArray[np.integer]
+    state: Integers
 
 
 def spread_points(
@@ -230,7 +229,7 @@ def spread_points(
 
 
 def is_label(name: str) -> bool:
-    """Whether whole numbers of a column of this name may say which point, pose or marker a row is of."""
+    """Tells whether whole numbers of a column of this name may say which point, pose or marker a row is of."""
     return not _IDENTIFIES.isdisjoint(spoken_words(name))
 
 
@@ -242,7 +241,7 @@ _IDENTIFIES = {
 """Words of columns of whole numbers that tell rows from each other."""
 
 
-def _codes(values: Words | NDArray[Any]) -> NDArray[np.integer]:
+def _codes(values: Words | AnyArray) -> Integers:
     """`(row,)` whole numbers that are equal where rows are, counted in the order in which these first stand there."""
     _, first, code = np.unique(np.asarray(values), axis=0, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[code.ravel()]
@@ -269,7 +268,7 @@ class Names(NamedTuple):
     """
 
     columns: tuple[str, str]
-    rows: tuple[NDArray[np.integer], NDArray[np.integer]]
+    rows: tuple[Integers, Integers]
     alone: tuple[tuple[str, ...], tuple[str, ...]]
 
 
@@ -305,9 +304,7 @@ def match_names(first_table: Mapping[str, Words], second_table: Mapping[str, Wor
     return None
 
 
-def _matched(
-    first_names: Sequence[str], second_names: Sequence[str]
-) -> tuple[NDArray[np.integer], NDArray[np.integer]] | None:
+def _matched(first_names: Sequence[str], second_names: Sequence[str]) -> tuple[Integers, Integers] | None:
     """The rows of two lists of names that belong together, in the order of the first; None where few do."""
     counts = Counter(filter(None, first_names)), Counter(filter(None, second_names))
     shared = counts[0].keys() & counts[1].keys()

@@ -8,9 +8,8 @@ from math import pi
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from lite6jax.array_types import Array
 
 
 class ColumnQuantity(NamedTuple):
@@ -159,12 +158,12 @@ def units_of(quantity: str, slides: bool = False, fine: bool = True) -> dict[str
 
 
 def differs_by_joint(quantity: str) -> bool:
-    """Whether a prismatic joint has other units of it than a revolute one."""
+    """Tells whether a prismatic joint has other units of it than a revolute one."""
     return bool(QUANTITIES[quantity].of_slide)
 
 
 def is_per_joint(quantity: str) -> bool:
-    """Whether there is one column for each joint."""
+    """Tells whether there is one column for each joint."""
     return quantity in QUANTITIES and QUANTITIES[quantity].per_joint
 
 
@@ -183,7 +182,7 @@ def name_columns(array: str, joints: int = 0, sliding: Iterable[int] = ()) -> li
 
 
 def is_scalar(array: str) -> bool:
-    """Whether an array of a recording has one number a sample, `(sample,)`."""
+    """Tells whether an array of a recording has one number a sample, `(sample,)`."""
     return len(OF_ARRAY[array]) == 1 and not is_per_joint(OF_ARRAY[array][0])
 
 
@@ -230,7 +229,7 @@ class Column(NamedTuple):
 
     @property
     def slides(self) -> bool:
-        """Whether its unit is one of a prismatic joint."""
+        """Tells whether its unit is one of a prismatic joint."""
         return self.unit in QUANTITIES[self.quantity].of_slide
 
     @property
@@ -302,7 +301,7 @@ class Block:
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """Of its columns, or of those of each joint; of a rotation without a form those of one with the same units."""
+        """Quantities of its columns, or of each joint's; of a rotation without a form, of one with the same units."""
         if self.form:
             return FORMS[self.form.choice]
         return OF_POSES.get(self.kind, (self.kind,))

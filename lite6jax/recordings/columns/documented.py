@@ -73,12 +73,12 @@ def known_column(name: str) -> Column | None:
 
 
 def is_standard(name: str) -> bool:
-    """Whether a table's column of this name is read, or passed over, without a sidecar's help."""
+    """Tells whether a table's column of this name is read, or passed over, without a sidecar's help."""
     return name in TEXTS or _STD.fullmatch(name) is not None or known_column(name) is not None
 
 
 def is_refused(name: str) -> bool:
-    """Whether a table's column of this name has to be named or ignored by a sidecar."""
+    """Tells whether a table's column of this name has to be named or ignored by a sidecar."""
     return not _STD.fullmatch(name) and isinstance(_parse_name(name), _Misspelling)
 
 

@@ -13,11 +13,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.description import bundled_of
 from lite6jax.arms.factory import RECOGNISED_WITHIN
+from lite6jax.array_types import Array
 from lite6jax.errors import InputError
 from lite6jax.recordings import streams
 from lite6jax.recordings.alignment import computed_by_controller, digit_step, median_distance
@@ -65,8 +65,6 @@ from lite6jax.recordings.columns.names import (
 )
 from lite6jax.recordings.columns.orientations import is_no_rotation, quaternions
 
-Array = NDArray[np.floating]
-
 ALIKE = 2.0
 """Times the error of the best arm, within which another one is as likely, as in `calibration.source`."""
 WIDEST_ANGLE = 1e3
@@ -104,7 +102,7 @@ class Pose(NamedTuple):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Of the position and the orientation."""
+        """Columns of the position and the orientation."""
         return tuple(name for block in self.blocks for name in block.columns)
 
     @property
@@ -191,12 +189,12 @@ class Inspection:
 
     @property
     def undecided(self) -> bool:
-        """Whether there are several poses and none is taken."""
+        """Tells whether there are several poses and none is taken."""
         return bool(self.sources) and not any(source.taken for source in self.sources)
 
     @property
     def computed(self) -> bool:
-        """Whether the poses that are taken are the controller's own computation."""
+        """Tells whether the poses that are taken are the controller's own computation."""
         return any(source.taken and source.computed for source in self.sources)
 
     @property
@@ -206,7 +204,7 @@ class Inspection:
         return tuple(column.documented for column in sorted(members, key=lambda column: column.joint))
 
     def holds(self, quantity: str) -> bool:
-        """Whether a column holds a quantity, as recognised or as given."""
+        """Tells whether a column holds a quantity, as recognised or as given."""
         recognised = [column.quantity for block in self.blocks for column in block.members]
         given = [column.quantity for name in self.given.values() if (column := known_column(name))]
         return quantity in (*recognised, *given)
@@ -535,7 +533,7 @@ def _possible(blocks: Sequence[Block], numbers: Mapping[str, Array]) -> tuple[li
 
 
 def _matrix(entries: Array) -> bool:
-    """Whether rows of 9, 12 or 16 numbers are poses, but for a few."""
+    """Tells whether rows of 9, 12 or 16 numbers are poses, but for a few."""
     M = sizes.complete_rows(entries)
     M = M.reshape(len(M), *{9: (3, 3), 12: (3, 4), 16: (4, 4)}[entries.shape[1]])
     wrong = is_no_rotation(M[:, :3, :3].reshape(-1, 9))
@@ -608,7 +606,7 @@ def _merge_given_poses(blocks: Sequence[Block], slots: _Slots) -> list[Block]:
 
 
 def _split_by_joint(blocks: Sequence[Block], declared: Mapping[str, Column], arm: Arm | None) -> list[Block]:
-    """Of revolute and of prismatic joints apart, with their units and without joints that the arm does not have."""
+    """Splits blocks of revolute and prismatic joints, with their units and without joints that the arm has not."""
 
     def unit(name: str) -> str | None:
         if name in declared:

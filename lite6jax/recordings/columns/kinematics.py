@@ -11,9 +11,9 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.recordings.alignment import flange_poses, match_poses, median_distance
 from lite6jax.recordings.columns import sizes
 from lite6jax.recordings.columns.column import (
@@ -29,8 +29,6 @@ from lite6jax.recordings.columns.column import (
 )
 from lite6jax.recordings.columns.orientations import quaternions
 from lite6jax.recordings.sequence import inferred_motion, spread_rows
-
-Array = NDArray[np.floating]
 
 ROWS = 400
 """Spread over the recording: enough to tell readings that differ by factors or by whole rotations."""
@@ -80,7 +78,7 @@ class ArmAgreement(NamedTuple):
 
     @property
     def close(self) -> bool:
-        """Whether the arm agrees with the poses at all."""
+        """Tells whether the arm agrees with the poses at all."""
         return self.error <= CLOSE * self.spread
 
     def undecided(self) -> "ArmAgreement":
@@ -245,7 +243,7 @@ def motion_of(blocks: Iterable[Block], numbers: Mapping[str, Array]) -> tuple[st
 
 
 def _of_rate(block: Block, rate: Array, q: Block, slower: Array | None, time: Array | None) -> Decision:
-    """Of velocities or accelerations, by the positions or velocities of the same joints."""
+    """The unit of velocities or accelerations, by the positions or velocities of the same joints."""
     assert q.unit is not None
     suffix = "_per_s2" if block.kind == "ddq" else "_per_s"
     decided = sizes.rate_unit(rate, slower, q.unit.choice, time, q.units)
@@ -253,7 +251,7 @@ def _of_rate(block: Block, rate: Array, q: Block, slower: Array | None, time: Ar
 
 
 def _unit(block: Block, values: Array, agreed: ArmAgreement, arm: Arm | None) -> Decision:
-    """Of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
+    """The unit of what is neither a rotation, a rate, a command nor a time: by kinematics, or by size."""
     if block.key in agreed.units:
         return agreed.units[block.key]
     if block.key == _TURNS:

@@ -209,13 +209,13 @@ def candidate_blocks(names: Sequence[str], joint_names: Sequence[str] = ()) -> l
 
 
 def _is_unused(word: _SplitName) -> bool:
-    """Whether words say that a column is of nothing that is read here; errors of a position may be deviations."""
+    """Tells whether words say that a column is of nothing that is read here; errors of a position may be deviations."""
     unused = _UNUSED & {*word.all_words}
     return bool(unused - _ERRORS) or bool(unused and word.component not in PLACE)
 
 
 def choose_blocks(blocks: Sequence[Block], dof: int | None = None, joints: Sequence[str] = ()) -> list[Block]:
-    """Of each kind but poses the block that was measured and is named most clearly, with what it was preferred to.
+    """Chooses of each kind but poses the measured block that is named most clearly, with what it was preferred to.
 
     What was commanded or computed is taken only where nothing measured says the same. Positions that were commanded
     beside measured ones are of the kind `cmd`, and velocities without such positions of the kind `cmd_dq`.
@@ -300,23 +300,23 @@ def list_points(names: Sequence[str]) -> list[tuple[str, str, str]]:
 
 
 def is_of_gripper(name: str) -> bool:
-    """Whether a column's name is of a gripper, whose opening is no angle of an arm's joint."""
+    """Tells whether a column's name is of a gripper, whose opening is no angle of an arm's joint."""
     return bool({"gripper", "finger", "jaw"} & {*_split_name(name).all_words})
 
 
 def says_commanded(name: str) -> bool:
-    """Whether a name is of what was commanded, and not of what was measured."""
+    """Tells whether a name is of what was commanded, and not of what was measured."""
     words = {*_split_name(name).all_words}
     return bool(words & _WANTED) and not words & _MEASURED
 
 
 def tells_of_commands(text: str) -> bool:
-    """Whether the name of a file, or a word in its cells, says that it has the commands."""
+    """Tells whether the name of a file, or a word in its cells, says that it has the commands."""
     return says_commanded(text) or not _SENDS.isdisjoint(spoken_words(text))
 
 
 def says_torque(name: str) -> bool:
-    """Whether a column's own name is of a torque, and not of an effort, which may be a current too."""
+    """Tells whether a column's own name is of a torque, and not of an effort, which may be a current too."""
     return not {"effort", "efforts"} & {*_split_name(name).all_words} and not is_standard(name)
 
 
@@ -433,7 +433,7 @@ def _grouped(
 
 
 def _counts(numbers: Iterable[int]) -> bool:
-    """Whether numbers count from 0 or 1 without a gap."""
+    """Tells whether numbers count from 0 or 1 without a gap."""
     listed = sorted(numbers)
     return listed in ([*range(len(listed))], [*range(1, len(listed) + 1)])
 

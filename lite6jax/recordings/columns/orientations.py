@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.errors import InputError
 from lite6jax.recordings.columns.column import (
     ANGLES,
@@ -18,8 +18,6 @@ from lite6jax.recordings.columns.column import (
     ZYZ,
     spelled,
 )
-
-Array = NDArray[np.floating]
 
 _EULER: dict[tuple[str, ...], str] = {RPY: "ZYX", XYZ: "XYZ", ZYZ: "ZYZ"}
 """Intrinsic sequences in SciPy's spelling, in the order of the columns; of `RPY` in the reverse order."""
@@ -52,8 +50,8 @@ def quaternions(form: tuple[str, ...], values: Array) -> Array:
     return quaternion
 
 
-def is_no_rotation(matrix: Array) -> NDArray[np.bool_]:
-    """Of which rows `(sample, 9)`, without gaps, the matrix is no rotation: not orthogonal, or mirrored."""
+def is_no_rotation(matrix: Array) -> Mask:
+    """Rows of `(sample, 9)`, without gaps, whose matrix is no rotation: not orthogonal, or mirrored."""
     R = matrix.reshape(-1, 3, 3)
     with np.errstate(all="ignore"):
         far = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > NEARLY

@@ -7,11 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.recordings.columns.column import FINE, MATRIX, Decision, Sureness, by_name, units_of
-
-Array = NDArray[np.floating]
 
 WIDE_RAD = 2.1 * np.pi
 """Beyond, joint positions are likely to be degrees."""
@@ -41,7 +39,7 @@ _STEPS_S = (1e-4, 600.0)
 
 
 def increases(time: Array, run: Array | None = None) -> bool:
-    """Whether numbers `(sample,)` increase from row to row as times do; of another `run` they begin anew."""
+    """Tells whether numbers `(sample,)` increase from row to row as times do; of another `run` they begin anew."""
     finite = np.isfinite(time)
     steps = np.diff(time[finite])
     if run is not None:
@@ -51,7 +49,7 @@ def increases(time: Array, run: Array | None = None) -> bool:
 
 
 def has_unit_length(quaternion: Array) -> bool:
-    """Whether rows `(sample, 4)` are unit quaternions, but for the zeros that a sensor wrote when it saw nothing."""
+    """Tells whether rows `(sample, 4)` are unit quaternions, but for zeros that a sensor wrote when it saw nothing."""
     length = np.linalg.norm(complete_rows(quaternion), axis=1)
     length = length[length > 0]
     return bool(length.size) and float(np.mean(np.abs(length - 1) < 0.01)) > 0.9
@@ -63,7 +61,7 @@ def complete_rows(values: Array) -> Array:
 
 
 def in_whole_numbers(values: Array) -> bool:
-    """Whether all numbers are whole: only then are they tried in a unit of `FINE`."""
+    """Tells whether all numbers are whole: only then are they tried in a unit of `FINE`."""
     finite = values[np.isfinite(values)]
     return bool(finite.size) and bool((finite == np.round(finite)).all())
 
@@ -130,7 +128,7 @@ def _by_limits(columns: Sequence[Array], limits: Array | None, numbers: dict[str
 
 
 def _in_ticks(columns: Sequence[Array]) -> bool:
-    """Whether all joints change in steps of a tick in degrees; those of percent depend on a range."""
+    """Tells whether all joints change in steps of a tick in degrees; those of percent depend on a range."""
     moved = [values - values[0] for values in map(np.unique, columns) if len(values) > 1]
     if sum(map(len, moved)) < 20:  # too few steps to tell
         return False

@@ -4,8 +4,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.pose.compensate import Compensation, TargetFrame
 from lite6jax.domains.pose.predict import DiagnosedArm
 from lite6jax.domains.pose.registration import Registration
@@ -45,7 +45,7 @@ def joints_at_limit(joints: Sequence[tuple[int, float, str]]) -> str:
     return " and ".join(f"joint {joint} at its limit of {limit:.4g} {unit}" for joint, limit, unit in joints)
 
 
-def deviation_of_targets(std: NDArray[np.floating]) -> str:
+def deviation_of_targets(std: Array) -> str:
     """Says the standard deviations `(target, 3)` m of the positions that are reached; empty where none is."""
     if not len(std):
         return ""

@@ -2,14 +2,14 @@
 `templates/screens.yaml`."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.controller.recorder import LiveRecording
 from lite6jax.controller.sdk import FLOOR_M, GATE_M, GATE_RAD, KinematicsCheck
 from lite6jax.formatting import fixed, number, paragraph
 
 
-def calibration_remarks(source: str, dof: int, arm: str, error: bool, distance: NDArray[np.floating]) -> list[str]:
+def calibration_remarks(source: str, dof: int, arm: str, error: bool, distance: Array) -> list[str]:
     """Says whose calibration was read, and how far `(joint position,)` m its flange is from the nominal one."""
     remarks = [f"{source}: factory calibration of {dof} joints, of a {arm}."]
     if error:
@@ -21,7 +21,7 @@ def calibration_remarks(source: str, dof: int, arm: str, error: bool, distance: 
     return remarks
 
 
-def _offset(offset: NDArray[np.floating]) -> str:
+def _offset(offset: Array) -> str:
     """Shows x y z in mm and roll pitch yaw, rad, in degrees."""
     x, y, z = (fixed(float(length), 3) for length in offset[:3])
     roll, pitch, yaw = (fixed(float(np.degrees(angle)), 3) for angle in offset[3:])

@@ -27,8 +27,9 @@ def listed_effect(effect: "Listed") -> list[str]:
     if effect.parameters:
         numbers = zip(effect.parameters, effect.possible, strict=True)
         lines.append(f"Numbers: {'; '.join(_number_with_ends(name, *ends) for name, ends in numbers)}.")
-    if effect.domain != "kinematic":
-        lines.append(_simulators(effect))
+    if effect.simulated:
+        parameters = simulator_parameters(effect.in_simulators) or "No parameter of MuJoCo, Isaac Lab or URDF"
+        lines.append(f"{parameters}.")
     lines += [
         f"Looks like {joined(group['effects'], 'or')} {group['alike']}. Told apart by {group['told_apart']}."
         for group in effect.resembles
@@ -54,13 +55,6 @@ def between(least: float | None, largest: float | None) -> str:
 def simulator_parameters(in_simulators: Mapping[str, str]) -> str:
     """Says which parameter holds an effect in each simulator that has one, by the fields of `SimulatorParameters`."""
     return "; ".join(f"{_SIMULATORS[key]}: {parameter}" for key, parameter in in_simulators.items() if parameter)
-
-
-def _simulators(effect: "Listed") -> str:
-    parameters = simulator_parameters(effect.in_simulators)
-    if parameters:
-        return f"{parameters}."
-    return "No parameter of MuJoCo, Isaac Lab or URDF."
 
 
 def units_of_effects(domains: Collection[str]) -> list[str]:

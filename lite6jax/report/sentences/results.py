@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.calibration.fleet import FleetSolution
 from lite6jax.calibration.quality import Result
 from lite6jax.calibration.solution import Errors, Solution
@@ -141,7 +141,7 @@ def describe_compensation(compensation: Compensation, largest: str, outside: str
     hit = int(reached.sum())
     sentences = [f"{hit} of {counted(len(reached), 'target')} {be(hit)} reached."]
     if hit:
-        error: NDArray[np.floating] = compensation.position_error[reached]
+        error: Array = compensation.position_error[reached]
         sentences.append(f"There the model is at most {number(1e3 * float(np.nanmax(error)))} mm from the target.")
     if largest:
         sentences.append(f"The joints are moved by up to {largest}.")

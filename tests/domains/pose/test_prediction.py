@@ -445,7 +445,7 @@ def test_a_model_relative_to_a_reference_says_so(arm):
     ("content", "says"),
     [
         *((content, "is no JSON (") for content in ("{", "not json", "[" * 100_000)),
-        *((content, "is no diagnosis (lite6jax/diagnosis/3 with a model)") for content in ([], {}, 3)),
+        *((content, "is no diagnosis of poses (lite6jax/diagnosis/3 with a model)") for content in ([], {}, 3)),
     ],
 )
 def test_a_file_that_is_no_diagnosis(tmp_path, content, says):

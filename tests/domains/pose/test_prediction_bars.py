@@ -106,7 +106,7 @@ def test_derivatives_are_those_of_the_pure_prediction(arm, texts):
     effects = (*(freed(e) for e in model.physics.effects), FrameOffset(), FrameOffset(3), ToolOffset(True))
     physics = Physics(effects)
     numbers = []
-    for effect, part in zip(model.physics.effects, model.physics.slices, strict=True):
+    for effect, part in model.physics.pairs:
         numbers += [*model.values[part], *([effect.chosen] if freed(effect) is not effect else [])]
     at = jnp.asarray([*numbers, *np.zeros(18)])
 

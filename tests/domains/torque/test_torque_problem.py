@@ -164,7 +164,7 @@ def test_columns_are_the_derivatives_of_residuals(inertial):
     terms = Terms((*problem.candidates, StribeckFriction(1), TorqueRipple(3), *processes_of(problem)))
     rng = np.random.default_rng(0)
     values = 0.1 * terms.typical * rng.normal(0, 1, terms.size)
-    for effect, part in zip(terms.terms, terms.slices, strict=True):
+    for effect, part in terms.pairs:
         if isinstance(effect, StribeckFriction | TorqueRipple):
             values[part] = (0.2, 0.1) if effect.size == 2 else (0.2, 0.1, 6.0)
         if isinstance(effect, Delaying | TorqueScale):
@@ -172,7 +172,7 @@ def test_columns_are_the_derivatives_of_residuals(inertial):
     nuisance = np.zeros(len(problem.precision))
     columns = problem.columns(terms.terms, values)
     at = problem.residual(nuisance, terms, values)
-    for effect, part in zip(terms.terms, terms.slices, strict=True):
+    for effect, part in terms.pairs:
         for k, number in enumerate(effect.coordinates):
             step = np.zeros(terms.size)
             step[part.start + k] = 1e-4 * number.typical

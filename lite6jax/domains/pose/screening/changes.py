@@ -5,8 +5,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.calibration.problem import TOLERANCE
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.faults import (
@@ -21,8 +21,6 @@ from lite6jax.domains.faults import (
 from lite6jax.domains.pose.kinematics import unit_quaternions
 from lite6jax.recordings import Recording
 from lite6jax.recordings.motion import with_joints
-
-Array = NDArray[np.floating]
 
 CODES = (
     *(*DECLARED, *POSES),
@@ -111,7 +109,7 @@ def with_zeros(recording: Recording) -> list[int]:
 
 
 def is_estimated(change: SuspectedFault) -> bool:
-    """Whether the value of a change is any number: a scale, or a zero that is off by no quarter turns."""
+    """Tells whether the value of a change is any number: a scale, or a zero that is off by no quarter turns."""
     if change.code == "sensor_scale":
         return True
     return change.code == "joint_turns" and change.size not in np.pi / 2 * np.arange(-4, 5)
@@ -135,7 +133,7 @@ def simplicity(hypothesis: Hypothesis) -> tuple[int, int, tuple[int, ...]]:
 
 
 def differ_by_turns(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two hypotheses differ by whole turns of joints, or by no more than a calibration corrects."""
+    """Tells whether two hypotheses differ by whole turns of joints, or by no more than a calibration corrects."""
     rest_a, rest_b = (tuple(c for c in h if c.code != "joint_turns") for h in (a, b))
     zeros_a, zeros_b = ({c.joints[0]: c.size for c in h if c.code == "joint_turns"} for h in (a, b))
     apart = [(zeros_a.get(i, 0.0) - zeros_b.get(i, 0.0)) / (2 * np.pi) for i in {*zeros_a, *zeros_b}]

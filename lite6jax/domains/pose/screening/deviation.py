@@ -16,15 +16,13 @@ from functools import cached_property
 from typing import Any, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lite6jax.array_types import Array
 from lite6jax.calibration.problem import TOLERANCE, TOUCHED_TOLERANCE
 from lite6jax.domains.faults import SuspectedFault, rounded_to_quarters
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.estimation.robust import FREEDOM
-
-Array = NDArray[np.floating]
 
 _WIDE = 0.3
 """m, rad and 1: the standard deviation of a frame or a tool that is free, of a joint's zero and of a scale."""
@@ -159,7 +157,7 @@ class Deviation:
         return max(candidates, key=lambda candidate: candidate.evidence)
 
     def log_likelihood(self, scale: float) -> float:
-        """Of the data, all displacements integrated over their prior, at noise of `scale` times the declared one."""
+        """Log-likelihood at `scale` times the declared noise, with all displacements integrated over their prior."""
         arm = self.arm
         R, z = self.data
         Ru = R @ self.displaced

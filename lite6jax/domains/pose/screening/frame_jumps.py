@@ -4,10 +4,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
+from lite6jax.array_types import AnyArray, Array, Integers
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import small_displacement, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm
@@ -26,8 +26,6 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import frames_from_poses
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.sequence import run_segments, spread_rows
-
-Array = NDArray[np.floating]
 
 _MOST_JUMPS = 3
 """Jumps that are corrected; a mount that slips more often must be repaired."""
@@ -127,7 +125,7 @@ def _numbers(arm: RigidArm, part: str) -> slice:
     return slice(0, 6) if part == "base" else slice(last, last + arm.rows)
 
 
-def _displacement(arm: RigidArm, numbers: slice, values: Array, after: NDArray[Any]) -> float:
+def _displacement(arm: RigidArm, numbers: slice, values: Array, after: AnyArray) -> float:
     """m, root mean square, of the positions of some samples by a twist."""
     moved = np.einsum("k,krs->rs", values, arm.plain_twists[numbers])[:3, after]
     return float(np.sqrt(np.mean(np.sum(moved**2, 0))))
@@ -281,7 +279,7 @@ def _displaced_back(arm: RigidArm, fitted: RigidArm, jump: Jump, T: Array) -> Re
     return replace(recording, position=position, quaternion=None if turned is None else unit_quaternions(turned))
 
 
-def _best_split(projected: Projected, columns: Array, starts: NDArray[np.integer]) -> tuple[int, float]:
+def _best_split(projected: Projected, columns: Array, starts: Integers) -> tuple[int, float]:
     """The start from which columns, switched on there, explain most of the residual, and the squares they explain."""
     rows = projected.arm.rows
     n = projected.arm.samples
@@ -307,7 +305,7 @@ def _best_split(projected: Projected, columns: Array, starts: NDArray[np.integer
 
 
 def _sharp(arm: RigidArm, k: int) -> bool:
-    """Whether a trajectory shows more of a jump at a row than at any other; true where a run begins, and at rest."""
+    """Tells whether a trajectory shows more of a jump at a row than at others; true where a run begins, and at rest."""
     n = arm.samples
     w = _WINDOW
     segment = run_segments(arm.recording.run)

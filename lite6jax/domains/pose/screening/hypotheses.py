@@ -215,7 +215,7 @@ def _rule_out(state: ScreenedPoses, error: float, limit: float, **numbers: Any) 
 
 
 def touches_one_point(recording: Recording, noise: float) -> bool:
-    """Whether the measured positions `(sample, 3)` m are one point, which says nothing of scale or axes."""
+    """Tells whether the measured positions `(sample, 3)` m are one point, which says nothing of scale or axes."""
     assert recording.position is not None
     return median_distance(recording.position) <= 3 * noise
 
@@ -266,7 +266,7 @@ class _MedianErrors:
         return sorted(apart, key=lambda h: (costs[h], simplicity(h)))[:_PAIRS_FIRST]
 
     def suffices(self, nearest: Hypothesis, cost: float, before: float) -> bool:
-        """Whether it explains the poses, or one more change hardly helped."""
+        """Tells whether it explains the poses, or one more change hardly helped."""
         return cost <= _UNFITTED_RATIO * self.allowed or (before < np.inf and cost > _WORTH_ANOTHER * before)
 
 

@@ -1,19 +1,17 @@
-"""Whether orientations alone are those that a table computes from the joints, beside positions of another source."""
+"""Tells whether a table computes orientations alone from the joints, beside positions of another source."""
 
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
+from lite6jax.array_types import Array
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import Site
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.model import ArmModel
 from lite6jax.recordings.alignment import nearest_rotation
 from lite6jax.recordings.sequence import spread_rows
-
-Array = NDArray[np.floating]
 
 _ROWS = 120
 """Spread over the recording, which tell an orientation that is computed from one that is measured."""

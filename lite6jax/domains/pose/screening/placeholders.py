@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Integers, Mask
 from lite6jax.calibration.source import declared_arm
 from lite6jax.domains.faults import LIMIT_SLACK_RAD
 from lite6jax.domains.pose.screening.screened import ScreenedPoses
@@ -26,7 +26,6 @@ _APART = 0.1
 """Share of the spread over which one value is seen; noise is far below."""
 _MOST_BEYOND = 0.5
 """Share of the rows beyond limits below which these are placeholders; of more the limits are wrong."""
-Rows = NDArray[np.bool_]
 
 _POSES = ("joint_position", "position")
 """The arrays of a recording of poses in which marks are looked for."""
@@ -55,10 +54,10 @@ class _Evidence(NamedTuple):
     """
 
     recording: Recording
-    missed: Rows | None
-    beyond: Rows
+    missed: Mask | None
+    beyond: Mask
 
-    def convicts(self, mark: Mark, rows: NDArray[np.integer]) -> Rows:
+    def convicts(self, mark: Mark, rows: Integers) -> Mask:
         """Which of the rows of a mark hold no measurement."""
         all_rows = np.ones(len(rows), bool)
         none = np.zeros(len(rows), bool)
@@ -79,8 +78,8 @@ class _Evidence(NamedTuple):
             return all_rows
         return none
 
-    def _contradicts(self, mark: Mark, rows: NDArray[np.integer]) -> bool:
-        """Whether the poses of the same joints, or the joints of the same pose, are far from each other."""
+    def _contradicts(self, mark: Mark, rows: Integers) -> bool:
+        """Tells whether the poses of the same joints, or the joints of the same pose, are far from each other."""
         joints = mark.array == "joint_position"
         counterpart = self.recording.position if joints else self.recording.joint_position
         assert counterpart is not None
@@ -99,7 +98,7 @@ def _evidence(recording: Recording, arm: Arm | None) -> _Evidence:
     return _Evidence(recording, _missed(recording, nominal), beyond)
 
 
-def _missed(recording: Recording, arm: Arm) -> Rows | None:
+def _missed(recording: Recording, arm: Arm) -> Mask | None:
     """`(sample,)`, whether the nominal arm misses a pose grossly; None where it agrees with too few of them."""
     position = recording.position
     assert position is not None

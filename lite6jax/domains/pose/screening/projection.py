@@ -4,15 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.thresholds import OBSERVABLE_SHARE
 from lite6jax.estimation.projection import orthonormal, outside, unit_rows
 from lite6jax.estimation.thresholds import EIGENVALUE_ROUNDING
 from lite6jax.recordings.sequence import differentiate, run_segments
-
-Array = NDArray[np.floating]
 
 _HUBER_SIGMAS = 4.0
 """Deviations per number beyond which a sample counts less; one normal one in 16 000 does."""

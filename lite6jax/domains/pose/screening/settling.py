@@ -4,9 +4,9 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, ndtr
 
+from lite6jax.array_types import Array
 from lite6jax.domains.pose.rigid_arm import RigidArm
 from lite6jax.domains.pose.screening.projection import Projected, next_step, physics_columns
 from lite6jax.domains.pose.screening.screened import ScreenedPoses
@@ -14,8 +14,6 @@ from lite6jax.domains.pose.screening.thresholds import JUMP_LEVEL, MOST_FITTED, 
 from lite6jax.recordings import Recording
 from lite6jax.recordings.fault import DataFault
 from lite6jax.recordings.sequence import run_segments, spread_rows
-
-Array = NDArray[np.floating]
 
 _LEVEL = 1e-4
 """Chance of the best shape, and of a joint's number; three shapes are tested."""
@@ -93,7 +91,7 @@ def count_numbers(fault: DataFault) -> int:
 
 
 def seek_unsettled(arm: RigidArm) -> tuple[Unsettled | None, dict[str, Any]]:
-    """Whether the joints of a static recording were read before the arm had come to rest; else what rules it out.
+    """Tells whether the joints of a static recording were read before the arm had come to rest; else what rules it out.
 
     Then the pose shows the arm at q + rest, rest in the direction of the move: a share of it, or a time at the recorded
     velocity, or an angle. No effect depends on where the arm was before but backlash, whose sign is the opposite; all

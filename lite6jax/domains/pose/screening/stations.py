@@ -4,9 +4,9 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms.arm import Arm
+from lite6jax.array_types import Array
 from lite6jax.calibration.start import measured_rotations
 from lite6jax.domains.pose.kinematics import rigid_frames, unit_quaternions
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
@@ -15,8 +15,6 @@ from lite6jax.domains.pose.screening.screened import ScreenedPoses
 from lite6jax.errors import InputError, command_line
 from lite6jax.recordings import Recording
 from lite6jax.recordings.alignment import frames_from_poses
-
-Array = NDArray[np.floating]
 
 FEWEST_POSES = 8
 """Of a station: its frame has six numbers, and some poses must show what the others determine."""
