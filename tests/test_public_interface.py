@@ -91,6 +91,15 @@ def test_reports_and_commands_use_no_private_name(path):
     assert list(private_uses(path.read_text())) == []
 
 
+def test_docstrings_begin_with_a_verb_or_a_noun():
+    """A clause that begins with "Of" or "Whether" is read twice."""
+    kinds = ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Module
+    trees = (ast.parse(path.read_text()) for path in PACKAGE.rglob("*.py"))
+    documented = (node for tree in trees for node in ast.walk(tree) if isinstance(node, kinds))
+    begun = [text for node in documented if re.match(r"(Of|Whether)\b", text := ast.get_docstring(node) or "")]
+    assert begun == []
+
+
 # ------------------------------------------------------------------ degrees
 
 

@@ -11,11 +11,11 @@ from operator import attrgetter
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lite6jax.arms import frames
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.array_types import Array, Mask
 from lite6jax.calibration.problem import Geometry
 from lite6jax.diagnosis.fault_alternative import FaultAlternative, missing_effects
 from lite6jax.diagnosis.options import Options
@@ -26,15 +26,12 @@ from lite6jax.domains.pose.screening.screened import Corrections, ScreenedPoses
 from lite6jax.effects.deflection import place_of
 from lite6jax.effects.effect import Effect
 from lite6jax.estimation.noise import NoiseModel, white_noise
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.projection import schur_complement
 from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
 from lite6jax.search.search import Selection, Start, reviewed, supported
-
-Array = NDArray[np.floating]
 
 _evidence = attrgetter("evidence")
 _UNCERTAINTIES = np.geomspace(1e-7, 1e-3, 81)

@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.diagnosis.block_intervals import BLOCK_TIMES, block_stds
 from lite6jax.diagnosis.explanation import Case, Decisions, explain
 from lite6jax.diagnosis.fold_processes import work_on_folds
@@ -29,13 +29,11 @@ from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import Fit, relinearise
 from lite6jax.estimation.noise import NoiseModel
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem
+from lite6jax.estimation.problem import Problem
 from lite6jax.recordings.sequence import contiguous_blocks
 from lite6jax.search.scan import is_wander
 from lite6jax.search.search import Selection, at_estimate
 from lite6jax.search.state import State, fitted_again
-
-Array = NDArray[np.floating]
 
 _LARGEST_RISE = 1.01
 """Ratio of held-out position errors with and without effects, above which these are not kept.
@@ -143,7 +141,7 @@ def _errors(problem: Problem, fit: Fit) -> tuple[Array, Array]:
 
 
 class Judgement(NamedTuple):
-    """Whether errors on held-out rows reject effects, and the ratio of those with effects to those without."""
+    """A judgement whether errors on held-out rows reject effects, and the ratio of those with and without effects."""
 
     rejects: bool
     ratio: float
@@ -153,7 +151,7 @@ class Judge(Protocol):
     """How a domain judges effects."""
 
     def __call__(self, errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> Judgement:
-        """Whether the errors of folds reject the effects of a selection; `kept` `(sample,)` are the rows that count."""
+        """Judges whether errors of folds reject the effects of a selection; `kept` `(sample,)`: the rows that count."""
         ...
 
 
@@ -239,7 +237,7 @@ def _rows_of(folds: Sequence[Mask], counted: Mask) -> list[Mask]:
 
 
 def raises(errors: HeldOut, kept: Mask, numbers: float) -> bool:
-    """Whether effects of so many numbers raise the errors on rows that were not used.
+    """Tells whether effects of so many numbers raise the errors on rows that were not used.
 
     The product of the ratios of position and orientation must not rise, as in the likelihood of Gaussian errors of
     unknown variance. Effects that show in the orientation alone may raise the error of positions by what they cost in
@@ -252,7 +250,7 @@ def raises(errors: HeldOut, kept: Mask, numbers: float) -> bool:
 
 
 def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequence[Mask]) -> bool:
-    """Whether a model with effects describes the rows that it was fitted to, and no others.
+    """Tells whether a model with effects describes the rows that it was fitted to, and no others.
 
     Rows that were not used are then off by `_LARGEST_EXCESS` times the errors of the fitted ones, and by a larger ratio
     than without the effects. Effects that remove most of the error there (in the geometric mean over folds) are kept
@@ -285,14 +283,14 @@ def is_overfitted(errors: HeldOut, selection: Selection, kept: Mask, folds: Sequ
 def _without_wandering(fit: Fit) -> Fit:
     """The same numbers, but zero of what wanders by itself."""
     values = fit.values.copy()
-    for term, part in zip(fit.terms.terms, fit.terms.slices, strict=True):
+    for term, part in fit.terms.pairs:
         if is_wander(term):
             values[part] = 0.0
     return replace(fit, values=values)
 
 
 def _ratio(before: Array, after: Array) -> float:
-    """Of the root mean squares; 1 where there was no error."""
+    """Ratio of the root mean squares; 1 where there was no error."""
     return float(np.linalg.norm(after) / np.linalg.norm(before)) if before.any() else 1.0
 
 

@@ -18,14 +18,13 @@ from math import comb
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import PeriodicFamily
 from lite6jax.estimation.score_test import ScoreTest
 from lite6jax.estimation.thresholds import CONFOUNDED, LOWEST_ORDER
-
-Array = NDArray[np.floating]
 
 RESOLVED_ORDERS = 3.8
 """Independent orders per order, over a full turn: √(π gain / 3) at a gain of 14.
@@ -45,7 +44,7 @@ _DECLARED = 4.0
 
 
 class Evidence(NamedTuple):
-    """Of some terms, each array `(…,)`.
+    """The evidence of some terms, each array `(…,)`.
 
     Attributes:
         gain: log evidence over their absence.
@@ -114,13 +113,13 @@ class Marginal:
         declared = _DECLARED * problem.declared
         return squares + declared / self.test.scale**2, freedom + declared
 
-    def _of_groups(self, rows: NDArray[np.bool_]) -> tuple[float, float]:
+    def _of_groups(self, rows: Mask) -> tuple[float, float]:
         """Sum of squares and degrees of freedom of the groups of some rows `(row,)`, and of all coupled with these."""
         squares, freedom = self._by_group
         groups = self._coupled(rows)
         return float(squares[groups].sum()), float(freedom[groups].sum())
 
-    def _coupled(self, rows: NDArray[np.bool_]) -> NDArray[np.integer]:
+    def _coupled(self, rows: Mask) -> Integers:
         """The groups of some rows `(row,)`, and those that the model couples with them."""
         coupled = self.test.coupled
         acting = np.bincount(self.test.problem.groups[rows], minlength=len(coupled)) > 0
@@ -166,7 +165,7 @@ class Marginal:
         return information - (inside * self.test.span.sign) @ inside.swapaxes(-1, -2)
 
     def sums(self, column: Array) -> Sums:
-        """Of a site's column `(row, sample)`; computed once."""
+        """Sums of a site's column `(row, sample)`; computed once."""
         key = "sums", id(column)  # the sums have the column, so that no other one has its identity
         if key not in self.test.table:
             self.test.table[key] = self._sums(column)
@@ -466,10 +465,8 @@ def _of_all(pull: Array, information: Array, residual_sums: Array, freedom: Arra
     return Evidence(likelihood - volume, variance, volume)
 
 
-def _of_least_squares(
-    pull: Array, information: Array, weight: Array, confounded: float
-) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Of the numbers x that fit best where groups of rows have a weight `(…, group)`, arguments as of `_of_all`.
+def _of_least_squares(pull: Array, information: Array, weight: Array, confounded: float) -> tuple[Mask, Array, Array]:
+    """The numbers x that fit best where groups of rows have a weight `(…, group)`, arguments as of `_of_all`.
 
     Returns:
         which directions are determined `(…, number)`; x times the pull of each group, and xᵀ times its information

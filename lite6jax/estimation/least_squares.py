@@ -6,18 +6,17 @@ from typing import NamedTuple, TypeVar, final
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import LinearisedProblem, Mask, linearised_at, prior_precision
+from lite6jax.estimation.problem import LinearisedProblem, linearised_at, prior_precision
 from lite6jax.estimation.projection import ROUNDING, scaled_inverse, scaled_solve, schur_complement
 from lite6jax.estimation.robust import FREEDOM, gaussian_t_scale, t_scale, variance_factor
 from lite6jax.estimation.terms import Factored, Terms, gram, pulled
 from lite6jax.estimation.thresholds import CONFOUNDED
 from lite6jax.estimation.whitening import Whitened, weighed_columns
 
-Array = NDArray[np.floating]
 P = TypeVar("P", bound=LinearisedProblem)
 
 _FIRST_STEPS = 6
@@ -69,7 +68,7 @@ class Residuals(NamedTuple):
     innovations: Array
     scale: Array
     weight: Array
-    groups: NDArray[np.integer]
+    groups: Integers
 
     @property
     def squares(self) -> Array:
@@ -166,7 +165,7 @@ class Fit:
         return float(len(self.residuals.rows) * self.training.sum()) - self.parameters
 
     def log_likelihood(self, scale: Array) -> float:
-        """Of the training samples under Student's t and of the prior, up to a constant, at noise of `scale`."""
+        """Log-likelihood of training samples under Student's t and of the prior, up to a constant, at noise `scale`."""
         r = self.residuals
         total = -0.5 * self.penalty
         for group, s in enumerate(scale):
@@ -241,7 +240,7 @@ def fit(
 
 
 def _may_jump(terms: Terms) -> bool:
-    """Whether a term has a number in which it is not linear: one that places a step, as no order of a wave does."""
+    """Tells whether a term has a number in which it is not linear: it places a step, as no order of a wave does."""
     return any(term.chosen is not None and not term.periodic for term in terms.terms)
 
 
@@ -343,7 +342,7 @@ def _fitted(
         return _Information(columns, weight, gram(parts))
 
     def differs(where: P, numbers: Array, others: Array) -> bool:
-        """Whether columns at some numbers differ from those at others by the nuisance."""
+        """Tells whether columns at some numbers differ from those at others by the nuisance."""
         return linearised_at(where, numbers[:k] - others[:k]) is not where
 
     bounds = _bounds(problem, terms)
@@ -429,7 +428,7 @@ def _fitted(
 
 
 def _differ(weight: Array, other: Array) -> bool:
-    """Whether weights differ by more than steps need."""
+    """Tells whether weights differ by more than steps need."""
     return bool(np.sum(np.abs(weight - other)) > _SAME_WEIGHTS * np.sum(weight))
 
 
@@ -467,11 +466,7 @@ def _shared_by_names(H: Array, inverse: Array, terms: Terms, confounded: float) 
     if len(terms.terms) < 2 or not len(H):
         return 0.0
     count = len(H) - terms.size
-    names = [
-        np.arange(part.start, part.stop)
-        for term, part in zip(terms.terms, terms.slices, strict=True)
-        if not term.nonparametric
-    ]
+    names = [np.arange(part.start, part.stop) for term, part in terms.pairs if not term.nonparametric]
     acting = np.concatenate([np.arange(count), *(count + numbers for numbers in names)])
     beside_nuisance = schur_complement(H[np.ix_(acting, acting)], np.arange(count))[count:, count:]
     shared = 0.0
@@ -500,7 +495,7 @@ def _shared_by_names(H: Array, inverse: Array, terms: Terms, confounded: float) 
 
 
 def _apart(terms: Terms, values: Array, others: Array, share: float) -> bool:
-    """Whether the numbers of a term are so far from others that derivatives there differ; a term may jump anywhere."""
+    """Tells whether a term's numbers are so far from others that derivatives there differ; a term may jump anywhere."""
     moved = (values - others) / terms.typical
     size = others / terms.typical
     apart = (np.linalg.norm(moved[part]) > share * np.linalg.norm(size[part]) for part in terms.slices)

@@ -12,14 +12,11 @@ from typing import final
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used: `signal` alone takes most of a second
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.projection import half_inverse
 from lite6jax.estimation.thresholds import EIGENVALUE_ROUNDING
-
-Array = NDArray[np.floating]
-Integers = NDArray[np.integer]
 
 _LAGS = 32
 """Lags of the portmanteau statistic, which cover autocorrelation times to about ten samples."""
@@ -155,7 +152,7 @@ class NoiseModel:
 
     @property
     def white(self) -> bool:
-        """Whether no group is autocorrelated."""
+        """Tells whether no group is autocorrelated."""
         return not any(model.share for model in self.models)
 
     def least_scales(self, declared: float) -> Array:
@@ -205,7 +202,7 @@ class NoiseModel:
             out[..., in_group, :] = group_rows
         return out
 
-    def log_volume(self, training: NDArray[np.bool_]) -> float:
+    def log_volume(self, training: Mask) -> float:
         """The logarithm of the determinant of the whitening filter of all rows, of the samples `(sample,)` used."""
         counts = np.bincount(self.groups, minlength=len(self.models))
         samples = int(training.sum())
@@ -315,7 +312,7 @@ def _autocorrelation(
 
 
 def coefficients(samples: float) -> Sequence[float]:
-    """Of autoregressions, those that forget within so many samples, and two at least."""
+    """Coefficients of autoregressions, those that forget within so many samples, and two at least."""
     return _COEFFICIENTS[: max(sum((1 - coefficient) * samples >= _FORGOTTEN for coefficient in _COEFFICIENTS), 2)]
 
 

@@ -13,9 +13,9 @@ from itertools import pairwise
 from typing import Any, NamedTuple, final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.estimation.least_squares import Fit, linear_columns
 from lite6jax.estimation.noise import NoiseModel, autocorrelation_time, noise_model, run_starts
 from lite6jax.estimation.options import EngineOptions
@@ -24,8 +24,6 @@ from lite6jax.estimation.projection import Span, unit_rows
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.estimation.thresholds import CONFOUNDED, EIGENVALUE_ROUNDING
 from lite6jax.estimation.whitening import Whitened, weighed_columns
-
-Array = NDArray[np.floating]
 
 _WINSOR = 4.0
 """Standard deviations at which residuals are winsorised; one normal sample in 16 000 is beyond."""
@@ -71,8 +69,8 @@ class Spanned(NamedTuple):
     """The columns of nuisance and model, attributes as of `ScoreTest`."""
 
     span: Span
-    owners: NDArray[np.integer]
-    acting: NDArray[np.bool_]
+    owners: Integers
+    acting: Mask
 
 
 @final
@@ -104,13 +102,13 @@ class ScoreTest:
     fit: Fit
     options: EngineOptions
     residual: Array
-    blocks: NDArray[np.integer]
+    blocks: Integers
     freedom: float
     time: float
     scale: Array
     span: Span
-    owners: NDArray[np.integer]
-    acting: NDArray[np.bool_]
+    owners: Integers
+    acting: Mask
     whole: "ScoreTest | None" = None
     table: dict[Hashable, Any] = field(default_factory=dict)
     grams: dict[Hashable, Array] = field(default_factory=dict)
@@ -122,7 +120,7 @@ class ScoreTest:
         return self.span.basis[:, : len(self.residual)]
 
     @cached_property
-    def coupled(self) -> NDArray[np.bool_]:
+    def coupled(self) -> Mask:
         """`(group, group)`, whether two groups of noise share a number of the model, directly or by others."""
         of_group = self.acting.astype(float)
         coupled = (of_group.T @ of_group + np.eye(of_group.shape[1])) > 0
@@ -243,7 +241,7 @@ class ScoreTest:
         return [self._scored(projected[a:b], norms[a:b], per_block[a:b]) for a, b in pairwise(ends)]
 
     def confounded(self, terms: Sequence[Term]) -> list[bool]:
-        """Whether each term is in the span of nuisance and model, under their priors."""
+        """Tells whether each term is in the span of nuisance and model, under their priors."""
         is_confounded = list[bool]()
         for part in bounded_parts(terms, self.problem.rows * self.problem.samples):
             columns = self.problem.columns(part, beside=(self.fit.terms, self.fit.values))
@@ -326,7 +324,7 @@ class ScoreTest:
         groups = self.fit.residuals.groups
         return np.stack([squares[groups == group].sum(0) for group in self.groups_of(column)])
 
-    def groups_of(self, column: Array) -> NDArray[np.integer]:
+    def groups_of(self, column: Array) -> Integers:
         """The groups of noise in which a site's column `(row, sample)` is seen; one of a site that is seen in none."""
         groups = self.fit.residuals.groups
         return np.unique(groups[column.any(1)]) if column.any() else groups[:1]
@@ -437,7 +435,7 @@ def _of_unit_columns(gram: Array, inside: Array) -> tuple[Array, Array]:
     return (gram - inside @ inside.swapaxes(-1, -2)) / (norms[..., None] * norms[..., None, :]), norms
 
 
-def sums_by_block(products: Array, rows: int, samples: int, blocks: NDArray[np.integer]) -> Array:
+def sums_by_block(products: Array, rows: int, samples: int, blocks: Integers) -> Array:
     """Sums over blocks of samples, `(column, block)`; those of the prior's readings come last, where there are any.
 
     Args:
@@ -560,16 +558,16 @@ def _named_columns(problem: Problem, fit: Fit) -> tuple[Array, dict[Term, Array]
     """The columns `(number, row, sample)` of a model: of its nuisance, and of each term that is no process."""
     named_terms, values = fit.terms.part(fit.values, [not term.nonparametric for term in fit.terms.terms])
     columns = problem.columns(named_terms.terms, values, (fit.terms, fit.values))
-    columns_by_term = {term: columns[part] for term, part in zip(named_terms.terms, named_terms.slices, strict=True)}
+    columns_by_term = {term: columns[part] for term, part in named_terms.pairs}
     return problem.nuisance_columns(fit.terms, fit.values), columns_by_term
 
 
-def _stated(problem: Problem) -> NDArray[np.integer]:
+def _stated(problem: Problem) -> Integers:
     """The numbers of the nuisance whose prior is a reading."""
     return np.flatnonzero((problem.precision > 0) & problem.informative)
 
 
-def _with_readings(problem: Problem, precision: Array) -> NDArray[np.integer]:
+def _with_readings(problem: Problem, precision: Array) -> Integers:
     """The numbers of a model whose priors are readings, in the order of these: first those that are stated.
 
     Args:
@@ -608,9 +606,7 @@ def _spanned(problem: Problem, fit: Fit, scale: Array, whitened: Whitened) -> Sp
     return Spanned(Span.of_rows(rows, EIGENVALUE_ROUNDING), owners[is_nonzero], acting[is_nonzero])
 
 
-def _determined(
-    problem: Problem, terms: Terms, columns: Array, noise: float
-) -> tuple[Array, Array, NDArray[np.integer]]:
+def _determined(problem: Problem, terms: Terms, columns: Array, noise: float) -> tuple[Array, Array, Integers]:
     """Columns without those combinations of a process's coefficients of which the data say nothing beside the prior.
 
     A rotation of coefficients of one variance leaves their prior as it is. Of the 120 of a spectrum half may count.
@@ -630,7 +626,7 @@ def _determined(
     blocks = [columns[:first]]
     of_prior = [precision[:first]]
     owners = [np.full(first, -1)]
-    for k, (term, at) in enumerate(zip(terms.terms, terms.slices, strict=True)):
+    for k, (term, at) in enumerate(terms.pairs):
         part = columns[first:][at]
         part_precision = precision[first:][at]
         if not _has_prior(term):
@@ -647,7 +643,7 @@ def _determined(
     return np.concatenate(blocks), np.concatenate(of_prior), np.concatenate(owners)
 
 
-def _acting(problem: Problem, columns: Array) -> NDArray[np.bool_]:
+def _acting(problem: Problem, columns: Array) -> Mask:
     """`(number, group)`, on which groups of noise columns `(number, row, sample)` act."""
     return np.any(columns, 2) @ (np.arange(problem.groups.max(initial=0) + 1) == problem.groups[:, None])
 
@@ -656,7 +652,7 @@ def _has_prior(term: Term) -> bool:
     return bool(np.isfinite([number.spread for number in term.coordinates]).any())
 
 
-def independent_runs(problem: Problem, training: NDArray[np.bool_]) -> NDArray[np.integer]:
+def independent_runs(problem: Problem, training: Mask) -> Integers:
     """`(sample,)`, changes between runs, and where samples for training `(sample,)` and others meet."""
     begins = np.diff(np.asarray(problem.run), prepend=problem.run[0]).astype(bool) | np.diff(training, prepend=True)
     return np.cumsum(begins, dtype=int)
@@ -716,11 +712,11 @@ def longest_time(problem: Problem, fit: Fit) -> float:
     return float(autocorrelation_times(problem, fit).max())
 
 
-def _times(residual: Array, groups: NDArray[np.integer]) -> Array:
+def _times(residual: Array, groups: Integers) -> Array:
     return np.array([autocorrelation_time(residual[groups == group]) for group in range(int(groups.max()) + 1)])
 
 
-def _blocks(samples: int, time: float) -> NDArray[np.integer]:
+def _blocks(samples: int, time: float) -> Integers:
     """The first sample of each block: longer than the autocorrelation time, and enough of them for a variance.
 
     Of few samples, blocks are shorter, down to one sample: a test by four blocks finds nothing.

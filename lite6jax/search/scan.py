@@ -31,8 +31,8 @@ from string import digits
 from typing import Any, NamedTuple, TypeGuard, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.effects.kernels import (
     KERNELS,
     MODULATED,
@@ -46,13 +46,11 @@ from lite6jax.effects.kernels import (
 )
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, best_amplitude, bound, log_orders_of, of_process
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily, Problem, wave_of
+from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import ProcessTerm, Term, is_process
 from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER
 from lite6jax.search.spectrum import Line, line_of, modulated_spectrum
-
-Array = NDArray[np.floating]
 
 _KERNELS_OF = {**Counter(kernel.prior for kernel in KERNELS.values()), "product": len(PAIRS) / 2}
 """How many kernels each kind of process has."""
@@ -186,7 +184,7 @@ class _Equations(NamedTuple):
 
 
 def is_wander(term: Term) -> TypeGuard[ProcessTerm]:
-    """Whether a term is what wanders by itself, which nothing recorded drives: a read-out, or a hidden state."""
+    """Tells whether a term is what wanders by itself, which nothing recorded drives: a read-out, or a hidden state."""
     return is_process(term) and kernel_of(term.kernel).undriven
 
 
@@ -242,13 +240,13 @@ class Scan:
     # -------------------------------------------------------------- costs
 
     def cost_of_name(self, term: Term) -> float:
-        """Of a name at one site, and of a number that is chosen for it; even odds of what nearly every problem has."""
+        """Cost of a name at a site and of a number chosen for it; even odds of what nearly every problem has."""
         if term.usual:
             return self.prior.cost("usual")
         return float(self.prior.cost("named") + np.log(self._name_count) + self._cost_of_number(term.label))
 
     def _cost_of_number(self, label: str) -> float:
-        """Of the number of a name that is chosen, any that `_RATIOS` reach in the range of those of its label."""
+        """The cost of the number of a name, any that `_RATIOS` reach in the range of those of its label."""
         if label not in self._number_costs:
             numbers = [name.chosen for name in self.names if name.label == label and name.chosen and not name.periodic]
             step = np.log(_RATIOS[1] / _RATIOS[0])
@@ -257,7 +255,7 @@ class Scan:
         return self._number_costs[label]
 
     def cost_of_process(self, site: str, which: tuple[int, ...], kind: str = "") -> float:
-        """Of a process of one quantity or of two, any kernel of its kind, any component."""
+        """Cost of a process of one quantity or of two, any kernel of its kind, any component."""
         if which == (self.drivers,):
             return self._cost_of_wander(site)
         if self.has_order and which == (self.time,):
@@ -272,18 +270,18 @@ class Scan:
         return self._costs.setdefault((site, which, kind), float(cost))
 
     def cost_of_component(self, component: Component) -> float:
-        """Of a component among those that are alike; nothing of the first of them."""
+        """Cost of a component among those that are alike; nothing of the first of them."""
         return self.prior.cost(component.prior) if component.prior else 0.0
 
     def _cost_of_wander(self, site: str) -> float:
-        """Of what wanders, any of its kind, with any memory: a read-out, or a hidden state."""
+        """Cost of what wanders, any of its kind, with any memory: a read-out, or a hidden state."""
         kind, count = "hidden_state", self._hidden_count
         if self.is_read_out(site):
             kind, count = "wandering", self._read_out_count
         return float(self.prior.cost(kind) + np.log(count) + np.log(_MEMORIES))
 
     def cost_of_wander_beside(self, site: str, others: Sequence[Term]) -> float | None:
-        """Of a read-out that wanders where one of its kind does, a hidden state where its site has one; else None."""
+        """Cost of a read-out that wanders beside one of its kind, of a hidden state where its site has one; or None."""
         wandering = [other.site for other in others if is_wander(other)]
         if not self.is_read_out(site):
             count = sum(component.site == site for component in self.problem.components)
@@ -293,7 +291,7 @@ class Scan:
         return float(self.prior.cost("alike") + np.log(_MEMORIES)) if alike else None
 
     def cost_of_wave(self, term: Term, others: Sequence[Term]) -> float | None:
-        """Of a wave beside other terms; None of a term that is no wave of a fixed order.
+        """Cost of a wave beside other terms; None of a term that is no wave of a fixed order.
 
         An eccentric part makes waves of several whole multiples of its turn. Where one is there, one of twice its order
         is as probable as not, and else the multiple is chosen as whole orders are.
@@ -316,7 +314,7 @@ class Scan:
         return cost
 
     def cost_of_kernel(self, site: str, which: tuple[int, ...], kernel: Kernel, rolloff: tuple[float, ...]) -> float:
-        """Of a process of one kernel at a site; where its order or its sample is searched, of the choice of that."""
+        """Cost of a process of one kernel at a site; where its order or its sample is searched, of that choice."""
         if kernel.any_sample:
             of_samples = float(np.log(self.problem.samples))
             return self.prior.cost(kernel.prior) + float(np.log(self._read_out_count)) + of_samples
@@ -330,12 +328,12 @@ class Scan:
         return cost + sum(float(self._cost_of_quantity(site, k)) for k in others)
 
     def _cost_of_order(self, kind: str, family: PeriodicFamily, order: float) -> float:
-        """Of a kind, an angle, any of them, and an order of it."""
+        """Cost of a kind, an angle, any of them, and an order of it."""
         families = max(len(self.problem.periodic), 1)
         return float(self.prior.cost(kind) + np.log(families) + log_orders_of(family, order, self.options))
 
     def turns(self, component: Component, k: int) -> bool:
-        """Whether a quantity counts the turns of a component's site."""
+        """Tells whether a quantity counts the turns of a component's site."""
         return self.quantities[k].driver.turns == component.site
 
     def family_of(self, site: str) -> PeriodicFamily | None:
@@ -348,7 +346,7 @@ class Scan:
         return next((k for k, quantity in enumerate(self.quantities) if quantity.driver.is_time), None)
 
     @cached_property
-    def later(self) -> tuple[NDArray[np.integer], NDArray[np.integer], Array]:
+    def later(self) -> tuple[Integers, Integers, Array]:
         """The samples from the last to the first; and of each jump in time how many are after it, and from when on."""
         assert self.time is not None
         times = self.problem.seen(np.asarray(self.quantities[self.time].values)[None])[0]
@@ -366,11 +364,11 @@ class Scan:
         return further - np.log(probability)
 
     def may_act(self, site: str, *which: int) -> bool:
-        """Whether these quantities can act at a site."""
+        """Tells whether these quantities can act at a site."""
         return all(self.quantities[k].only in ("", site) for k in which)
 
     def is_read_out(self, site: str) -> bool:
-        """Whether what wanders at a site is a read-out, which is noise."""
+        """Tells whether what wanders at a site is a read-out, which is noise."""
         return site in self.read_outs
 
     def partners(self, component: Component, k: int) -> list[int]:
@@ -378,7 +376,7 @@ class Scan:
         return [j for j in range(self.drivers) if j != k and self.may_act(component.site, k, j)]
 
     def suits(self, kernel: str, which: tuple[int, ...]) -> bool:
-        """Whether a kernel is one of these quantities."""
+        """Tells whether a kernel is one of these quantities."""
         factors = kernel_of(kernel).factors
         return all(
             factor.suits(self.quantities[k].driver, self.discrete[k]) for factor, k in zip(factors, which, strict=True)
@@ -446,7 +444,7 @@ class Scan:
         ) if continuous else none
 
     @cached_property
-    def _few(self) -> tuple[Array, NDArray[np.integer], Array]:
+    def _few(self) -> tuple[Array, Integers, Array]:
         """A few functions `(function, sample)` of each quantity of unit size, where each begins, and their weights."""
         parts = []
         for k, quantity in enumerate(self.quantities[: self.drivers]):
@@ -461,7 +459,7 @@ class Scan:
         return np.concatenate(parts), start, weights
 
     def has_numbers(self, term: Term) -> bool:
-        """Whether a name is one of several that differ in a number that is tried."""
+        """Tells whether a name is one of several that differ in a number that is tried."""
         return sum(name.label == term.label for name in self.names) > 1
 
 
@@ -1160,7 +1158,7 @@ class ModelScan:
         return self.of_kernel(component, quantity_indices, kernel, rolloff, exact=True)
 
     def _is_exact(self, component: Component) -> bool:
-        """Whether sums over rows suffice: in white noise, or of a component of one row."""
+        """Tells whether sums over rows suffice: in white noise, or of a component of one row."""
         return self._sums(component).exact
 
     def _equations(
@@ -1246,7 +1244,7 @@ def _in_order(candidates: Sequence[Ranked]) -> list[Ranked]:
 
 
 def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
-    """Of processes that differ in their kernel alone, the likeliest; none that are not likely at all."""
+    """The likeliest of processes that differ in their kernel alone; none that are not likely at all."""
     likeliest: dict[Any, Ranked] = {}
     for candidate in candidates:
         if candidate.gain > 0 and (candidate.key not in likeliest or candidate.gain > likeliest[candidate.key].gain):
@@ -1255,7 +1253,7 @@ def _best_of_each(candidates: Sequence[Ranked]) -> list[Ranked]:
 
 
 def _of_short_memory(wandering: Sequence[Ranked]) -> list[Ranked]:
-    """Of what wanders, that with a memory of a fifth of the recording at most."""
+    """What wanders with a memory of a fifth of the recording at most."""
     return [candidate for candidate in wandering if candidate.process[3][0] >= _LEAST_CORNER]
 
 

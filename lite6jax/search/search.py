@@ -5,11 +5,11 @@ from itertools import compress
 from typing import NamedTuple, cast, final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.estimation.least_squares import fit, relinearised_fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Mask, Problem, WanderingProblem
+from lite6jax.estimation.problem import Problem, WanderingProblem
 from lite6jax.estimation.score_test import independent_runs, score_test
 from lite6jax.estimation.terms import Term, Terms, join
 from lite6jax.estimation.thresholds import MARGIN
@@ -17,8 +17,6 @@ from lite6jax.progress import entered
 from lite6jax.search.scan import ModelScan, is_wander, read_outs_of
 from lite6jax.search.select import Selector, is_known
 from lite6jax.search.state import SelectedTerm, State, fitted_again, refitted
-
-Array = NDArray[np.floating]
 
 _ROUNDS = 3
 """Linearisations: the first about the nuisance alone, each next about what the one before has found."""

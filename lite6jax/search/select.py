@@ -24,22 +24,13 @@ from itertools import product
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import (
-    Component,
-    CurvedProblem,
-    Mask,
-    Problem,
-    acts_on,
-    components_at,
-    contribution,
-    wave_of,
-)
+from lite6jax.estimation.problem import Component, CurvedProblem, Problem, acts_on, components_at, contribution, wave_of
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
@@ -47,8 +38,6 @@ from lite6jax.estimation.whitening import Whitened
 from lite6jax.search.scan import NEARLY, ModelScan, Pair, Ranked, Scan, is_wander
 from lite6jax.search.spectrum import as_likely
 from lite6jax.search.state import Alternative, SelectedTerm, State, beyond_limits, refitted
-
-Array = NDArray[np.floating]
 
 _NAMES_FOR_PROCESS = 3
 """Most names that take the place of a process: as many orders as gears have."""
@@ -124,7 +113,7 @@ class Selector:
         return self._settled(self._estimated(state)) if self._has_terms(state) else state
 
     def _is_noise(self, term: Term) -> bool:
-        """Whether a term is a read-out that wanders by itself."""
+        """Tells whether a term is a read-out that wanders by itself."""
         return is_wander(term) and self.scan.is_read_out(term.site)
 
     def _processes_of(self, state: State) -> set[tuple[object, ...]]:
@@ -132,7 +121,7 @@ class Selector:
         return {self._key_of(selected.term) for selected in state.tested if selected.term.nonparametric}
 
     def _has_terms(self, state: State) -> bool:
-        """Whether a state has terms beside those of the domain."""
+        """Tells whether a state has terms beside those of the domain."""
         return any(selected.term not in self._preset for selected in state.tested)
 
     def supported(self, state: State) -> State:
@@ -403,7 +392,7 @@ class Selector:
         return worth
 
     def _is_apart(self, candidate: Ranked, test: ScoreTest) -> bool:
-        """Whether a candidate keeps its odds, but for a tenth, beside a model that has others of its ranking."""
+        """Tells whether a candidate keeps its odds, but for a tenth, beside a model that has others of its ranking."""
         weighed = ModelScan(self.scan, test)
         if candidate.process:
             component, quantity_indices, kernel, rolloff = candidate.process
@@ -413,7 +402,7 @@ class Selector:
         return beside is not None and beside.gain - candidate.cost >= max(_APART * candidate.net, MARGIN)
 
     def _has_room(self, candidate: Ranked, model: Sequence[Term]) -> bool:
-        """Whether a term's site has no process, or a process may be added there; no name is added to one.
+        """Tells whether a term's site has no process, or a process may be added there; no name is added to one.
 
         The errors of a gear, a spectrum, do not describe what depends on loads or postures, nor do these describe them.
         """
@@ -445,7 +434,7 @@ class Selector:
         return of_site[0] if alone else None
 
     def _continued(self, candidate: Ranked, model: Sequence[Term]) -> Ranked:
-        """Of a process that continues one, only the choice of the component costs; of a multiple of a wave, that.
+        """A process that continues one costs the choice of the component alone; a multiple of a wave, of that.
 
         A read-out that wanders costs less where one of its kind does, a hidden state where its site has one.
         """
@@ -461,7 +450,7 @@ class Selector:
         return replace(candidate, cost=min(candidate.cost, float(np.log(count))))
 
     def _continues(self, candidate: Ranked, model: Sequence[Term]) -> bool:
-        """Whether it is a process of the quantities that one has at its site already, at another component."""
+        """Tells whether it is a process of the quantities that one has at its site already, at another component."""
         components = {
             term.component
             for term in model
@@ -540,7 +529,7 @@ class Selector:
         return state
 
     def _is_open(self, term: Term) -> bool:
-        """Whether something of a term is chosen, so that it may be chosen anew."""
+        """Tells whether something of a term is chosen, so that it may be chosen anew."""
         return term not in self._preset and (term.nonparametric or self._has_number(term))
 
     def _chosen_again(self, test: ScoreTest, selected: SelectedTerm) -> SelectedTerm:
@@ -665,7 +654,7 @@ class Selector:
             state = replace(self._left_out(state, k), refused=state.refused | {state.tested[k].term})
 
     def _is_contradicted(self, state: State, k: int) -> bool:
-        """Whether the part of a name in one group of rows alone is likelier than the whole.
+        """Tells whether the part of a name in one group of rows alone is likelier than the whole.
 
         A name acts on all groups by its definition: what one alone shows is something else, whatever it is.
         """
@@ -806,7 +795,7 @@ class Selector:
         return None
 
     def _has_number(self, term: Term) -> bool:
-        """Whether a number of a name is tried."""
+        """Tells whether a number of a name is tried."""
         return not term.periodic and (bool(term.chosen) or self.scan.has_numbers(term))
 
     def _likeliest_pair(self, test: ScoreTest, term: Term, net: float, excluded: set[str]) -> Pair | None:
@@ -1040,13 +1029,13 @@ class Selector:
         return max(lower - value, value - upper) <= IMPOSSIBLE * std
 
     def _contains(self, ranked: Ranked, term: Term) -> bool:
-        """Whether a ranked term is this one, or a process of its quantities and another one at its site."""
+        """Tells whether a ranked term is this one, or a process of its quantities and another one at its site."""
         phrases = {driver.phrase for driver in term.drivers}
         more = term.nonparametric and ranked.site == term.site and bool(ranked.process) and phrases <= set(ranked.cause)
         return more or self._is(ranked, term)
 
     def _is_near_order(self, ranked: Ranked, term: Term) -> bool:
-        """Whether it is a wave of no whole order of an angle of which a term is a wave: both are the likeliest one."""
+        """Tells whether it is a wave of no whole order of an angle of which a term is one: both are the likeliest."""
         wave = wave_of(self.problem, term)
         candidate_wave = None if ranked.process else wave_of(self.problem, ranked.make())
         if wave is None or candidate_wave is None:
@@ -1054,7 +1043,7 @@ class Selector:
         return candidate_wave[0] is wave[0] and candidate_wave[1] % 1 != 0
 
     def _is(self, ranked: Ranked, term: Term) -> bool:
-        """Whether a ranked term is this one, or a process of the same quantities at its site."""
+        """Tells whether a ranked term is this one, or a process of the same quantities at its site."""
         if ranked.site != term.site:
             return False
         if term.nonparametric:
@@ -1094,7 +1083,7 @@ def _gap(state: State, other: State, every: int) -> float:
 
 
 def is_known(problem: Problem, term: Term) -> bool:
-    """Whether a problem has what a term acts on and depends on."""
+    """Tells whether a problem has what a term acts on and depends on."""
     if is_process(term):
         names = {component.name for component in components_at(problem, term.site)}
         phrases = {quantity.driver.phrase for quantity in problem.quantities}
@@ -1105,7 +1094,7 @@ def is_known(problem: Problem, term: Term) -> bool:
 
 
 def _phrases(term: Term) -> tuple[str, ...]:
-    """Of its quantities, as `Ranked.cause` of a process."""
+    """Phrases of its quantities, as `Ranked.cause` of a process."""
     return tuple(driver.phrase for driver in term.drivers)
 
 

@@ -16,18 +16,15 @@ from itertools import pairwise
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lite6jax.array_types import Array, Mask
 from lite6jax.domains.tracking.problem import RolloutCache, TrackingProblem
 from lite6jax.domains.tracking.rows import TrackingRows
 from lite6jax.effects.dynamic import CoulombFriction, RotorInertia
 from lite6jax.effects.effect import Effect, OfJoint
 from lite6jax.effects.servo import Limit, RateLimit
 from lite6jax.estimation.noise import autocorrelation_time
-from lite6jax.estimation.problem import Mask
 from lite6jax.estimation.terms import Term, Terms
-
-Array = NDArray[np.floating]
 
 _WORTH = 0.1
 """Share of a joint's errors in held-out rows by which a name lowers them at least: in other motions less does not
@@ -174,7 +171,7 @@ class _Lanes:
         count = len(self.unknowns[model.joint])
         steps = [0.02] * count
         values = model.numbers[count:]
-        for term, part in zip(model.terms.terms, model.terms.slices, strict=True):
+        for term, part in model.terms.pairs:
             assert isinstance(term, Effect)
             steps += [self.problem.step_of(term, k, float(at)) for k, at in enumerate(values[part])]
         return np.array(steps)
@@ -260,7 +257,7 @@ class _Lanes:
     # -------------------------------------------------------------- names
 
     def is_better(self, model: NamedJoint, simpler: NamedJoint) -> bool:
-        """Whether a model predicts so much better than one with fewer names that these are worth their choice.
+        """Tells whether a model predicts so much better than one with fewer names that these are worth their choice.
 
         Errors of neighbouring rows are alike: what counts is how often the residual begins anew.
         """
@@ -275,7 +272,7 @@ class _Lanes:
         """The names of which a number is at one of its limits."""
         values = model.numbers[len(self.unknowns[model.joint]) :]
         at_limits = set[Term]()
-        for term, part in zip(model.terms.terms, model.terms.slices, strict=True):
+        for term, part in model.terms.pairs:
             assert isinstance(term, Effect)
             bounds = zip(values[part], self.problem.limits(term), term.coordinates, strict=True)
             for value, (lower, upper), number in bounds:
@@ -464,7 +461,7 @@ def _with_usual(lanes: _Lanes, models: Sequence[NamedJoint], folds: Sequence[Mas
 
 
 def _of_usual_stiffness(lanes: _Lanes, models: Sequence[NamedJoint]) -> list[NamedJoint]:
-    """Of each joint the model with the least errors; of several with hardly larger ones that with the usual stiffness.
+    """The model of each joint with the least errors; of several with hardly larger ones that with the usual stiffness.
 
     That is the median of the best models of all joints: where only ratios to the stiffness are known, servos of one arm
     are alike.
@@ -517,7 +514,7 @@ def _best_of_joints(models: Sequence[NamedJoint]) -> list[NamedJoint]:
 
 
 def _best_of_names(models: Sequence[NamedJoint]) -> list[NamedJoint]:
-    """Of each joint and set of names the model with the least error."""
+    """The model with the least error for each joint and set of names."""
     best: dict[tuple[int, Terms], NamedJoint] = {}
     for model in models:
         key = model.joint, model.terms

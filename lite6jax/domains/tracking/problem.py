@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 import scipy  # whose parts are imported where they are first used
-from numpy.typing import NDArray
 
-from lite6jax.arms.dynamics import link_parameters
+from lite6jax.arms.dynamics import declared_links
+from lite6jax.array_types import Array, Integers, Mask
 from lite6jax.domains.torque.predict import read_driver
 from lite6jax.domains.tracking.coupling import Bodies, JointLoads, loads_along
 from lite6jax.domains.tracking.model import (
@@ -49,12 +49,10 @@ from lite6jax.effects.servo import (
     ServoDamping,
     ServoStiffness,
 )
-from lite6jax.estimation.problem import Component, DriverValues, Mask, PeriodicFamily
+from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fields import field_values
 from lite6jax.recordings.settings import ServoSettings
-
-Array = NDArray[np.floating]
 
 # type checkers do not accept a cached property where a protocol declares a property
 lazy = property if TYPE_CHECKING else cached_property
@@ -184,7 +182,7 @@ class TrackingProblem:
     """
 
     data: TrackingRows
-    chosen: NDArray[np.integer]
+    chosen: Integers
     servo: Servo
     unknowns: tuple[Unknown, ...]
     offset: Array
@@ -209,21 +207,21 @@ class TrackingProblem:
         return len(self.chosen)
 
     @lazy
-    def groups(self) -> NDArray[np.integer]:
+    def groups(self) -> Integers:
         """Each joint has a noise of its own."""
         return np.arange(self.rows)
 
     @lazy
-    def run(self) -> NDArray[np.integer]:
+    def run(self) -> Integers:
         return self.data.recording.run[self.chosen]
 
     @property
-    def every_run(self) -> NDArray[np.integer]:
+    def every_run(self) -> Integers:
         return np.asarray(self.data.motion.run)
 
     @property
     def declared(self) -> bool:
-        """Whether the sidecar declares the noise of encoders."""
+        """Tells whether the sidecar declares the noise of encoders."""
         return self.data.recording.settings.joint_noise_rad > 0
 
     @property
@@ -326,12 +324,12 @@ class TrackingProblem:
         at = np.zeros(own.size) if values is None else np.asarray(values, float)
         others, numbers = beside or (own, at)
         wanted: list[tuple[int, list[_Difference]]] = []
-        limits = [term for term, part in zip(own.terms, own.slices, strict=True) if not at[part].any()]
+        limits = [term for term, part in own.pairs if not at[part].any()]
         limits = [term for term in limits if isinstance(term, Limit)]
         starts: dict[Effect, Array] = {}
         if limits:
             starts = dict(zip(limits, self._likeliest_starts(limits, others, numbers), strict=True))
-        for effect, part in zip(own.terms, own.slices, strict=True):
+        for effect, part in own.pairs:
             assert isinstance(effect, Effect)
             step = float(starts[effect][0]) or None if effect in starts else None
             wanted += enumerate(self._of_effect(effect, at[part], others, numbers, step), part.start)
@@ -566,7 +564,7 @@ class TrackingProblem:
             grip[here] = _likeliest_grip(self, model, here)
         return replace(self, servo=self.servo._replace(grip=grip))
 
-    def _with_friction(self, model: TrackingModel, described: Servo | None) -> NDArray[np.integer]:
+    def _with_friction(self, model: TrackingModel, described: Servo | None) -> Integers:
         """The joints, from 0, on which dry friction acts in a model that `described` servos, or none, do not have."""
         acts = np.zeros(self.rows, bool)
         for name in ("coulomb", "stribeck", "load_friction"):
@@ -773,7 +771,7 @@ class TrackingProblem:
 
     # ------------------------------------------------------------------ other samples and models
 
-    def select(self, rows: NDArray[np.integer]) -> "TrackingProblem":
+    def select(self, rows: Integers) -> "TrackingProblem":
         """Some of the samples; all are rolled out."""
         return replace(self, chosen=self.chosen[rows], valid=self.valid[rows])
 
@@ -805,7 +803,7 @@ def _order_of_ripple(term: Term) -> float | None:
 
 
 def _is_driven(effect: Effect) -> bool:
-    """Whether columns of an effect are of what is added along the measured motion, and not of a servo's numbers."""
+    """Tells whether an effect's columns are of what is added along the measured motion, not of a servo's numbers."""
     bare = TrackingModel(Servo.ideal(np.ones(effect.joints_needed), np.ones(effect.joints_needed)), NO_BODIES)
     return bool(with_effect(bare, effect, np.zeros(effect.size), coupled=False).driven)
 
@@ -826,7 +824,7 @@ def diagnosed_servos(
     settings = data.recording.settings
     declared_servos = settings.servo if isinstance(settings.servo, ServoSettings) else None
     arm = data.arm
-    links = np.zeros((arm.dof, 10)) if arm.mass is None else np.asarray(link_parameters(arm))
+    links = declared_links(arm)
     first = np.flatnonzero(data.commands.reset)
     command = np.asarray(data.recording.commanded_position)[first].T
     bodies = data.bodies
@@ -857,7 +855,7 @@ def diagnosed_servos(
 
 
 def unknowns_of(data: TrackingRows) -> tuple[Unknown, ...]:
-    """Of servos that are not declared stiffness and damping, and what the arm's description does not say either."""
+    """The stiffness and damping of servos that are not declared, and what the arm's description does not say either."""
     if data.declared:
         return ()
     names = ["stiffness", "damping"]
@@ -912,7 +910,7 @@ _GRID = 9
 
 
 def follows_as_described(problem: TrackingProblem) -> bool:
-    """Whether any joint follows its commands as described, but for noise and the grip of its friction."""
+    """Tells whether any joint follows its commands as described, but for noise and the grip of its friction."""
     residual = problem.residual(np.zeros(len(problem.unknowns)), Terms(), np.zeros(0))[:, problem.valid]
     return bool(np.min(np.mean(residual**2, 1)) < _FOLLOWS**2)
 
@@ -953,7 +951,7 @@ def with_likely_grip(
     return replace(problem, servo=problem.servo._replace(grip=grip))
 
 
-def _likeliest_grip(problem: TrackingProblem, model: TrackingModel, joints: NDArray[np.integer]) -> Array:
+def _likeliest_grip(problem: TrackingProblem, model: TrackingModel, joints: Integers) -> Array:
     """The grip of some joints that makes their read-outs likeliest, one factor of that of MuJoCo for all."""
     nominal = np.asarray(problem.data.servo.grip)[joints]
     factors = _GRIPS
@@ -970,9 +968,7 @@ def _likeliest_grip(problem: TrackingProblem, model: TrackingModel, joints: NDAr
     return best * nominal
 
 
-def _grip_likelihoods(
-    problem: TrackingProblem, model: TrackingModel, joints: NDArray[np.integer], factors: Array
-) -> Array:
+def _grip_likelihoods(problem: TrackingProblem, model: TrackingModel, joints: Integers, factors: Array) -> Array:
     """The log likelihood `(factor,)` of joints, less a constant, where noise of each is of unknown size."""
     nominal = np.asarray(problem.data.servo.grip)
     extra = problem._added(model)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lite6jax.arms.arm import Arm
 from lite6jax.arms.factory import FactoryCalibration
+from lite6jax.array_types import Array
 from lite6jax.calibration.problem import Geometry
 from lite6jax.domains.faults import LIMIT_SLACK_RAD, whole_turns
 from lite6jax.domains.pose.rigid_arm import RigidArm, rigid_arm
@@ -39,8 +39,6 @@ from lite6jax.recordings.alignment import angle_step, computed_by_controller, is
 from lite6jax.recordings.columns.kinematics import FEWEST
 from lite6jax.recordings.fault import DataFault, row_numbers
 from lite6jax.recordings.motion import at_positions, without_turns
-
-Array = NDArray[np.floating]
 
 _CLUSTER_DISTANCES = 5.0
 """Median distances within which a row lies in its right unit; in mm it is 1000 times as far."""
@@ -191,7 +189,7 @@ def note_computed(state: ScreenedPoses) -> ScreenedPoses:
 
 
 def _is_computed(fitted: RigidArm) -> bool:
-    """Whether a fitted arm is nearer to the positions than any arm comes back to a place."""
+    """Tells whether a fitted arm is nearer to the positions than any arm comes back to a place."""
     freedom = fitted.rows * fitted.samples - len(fitted.unknown)
     position = fitted.recording.position
     assert position is not None
