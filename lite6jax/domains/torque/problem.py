@@ -450,7 +450,7 @@ class TorqueProblem:
         return slope_of_delayed(undelayed, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
 
     def factored(self, term: Term) -> Factored | None:
-        """Of a linear effect on one joint, the same arrays each time; None of others, whose columns may change."""
+        """The same arrays each time for a linear effect on one joint; None for others, whose columns may change."""
         if not isinstance(term, JointTorque) or isinstance(term, Scaling) or not term.linear:
             return None
         key = term.joint, term.process  # which is the same at all joints
