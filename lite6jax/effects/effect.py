@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Self, TypeVar, dataclass_transform, final
 
 import numpy as np
@@ -192,8 +191,8 @@ class Effect(ABC):
         """Name and site, such as `joint_compliance:joint2`."""
         return f"{self.name}:{self.site}"
 
+    @property
     @final
-    @cached_property
     def linear(self) -> bool:
         """Tells whether what it adds is proportional to its numbers; columns are then computed once."""
         return not isinstance(self, Altering) and all(coordinate.linear for coordinate in self.coordinates)
