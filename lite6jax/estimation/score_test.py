@@ -189,9 +189,7 @@ class ScoreTest:
         for term in moved:
             stay[self.owners == places[term]] = False
         place = np.append(np.cumsum(kept) - 1, -1)
-        changed = np.zeros(len(before), bool)
-        if nuisance is not before:
-            changed = (before != nuisance).any((1, 2))
+        changed = (before != nuisance).any((1, 2))
         if not stay[len(self.span.coordinates) :].all():  # directions that came are of several columns each
             return None
         if not changed.any() and not moved:

@@ -65,7 +65,7 @@ class Whitened:
         """Columns whitened, of which those are computed that differ from the latest ones of a key."""
         before = self._kept.get(key)
         if before is None or before[0][0].shape != columns.shape:
-            return self._keep(key, (_alone(columns),), noise.whitened(columns))
+            return self._keep(key, (columns.copy(),), noise.whitened(columns))
         (raw,), white = before
         if raw is columns:
             return white
@@ -74,7 +74,7 @@ class Whitened:
             return white
         white = white.copy()  # a fit may still have the former ones
         white[changed] = noise.whitened(columns[changed])
-        return self._keep(key, (_alone(columns),), white)
+        return self._keep(key, (columns.copy(),), white)
 
     def _keep(self, key: Hashable, source: tuple[Array, ...], white: Array) -> Array:
         if self._numbers + white.size > _MOST:
@@ -87,11 +87,6 @@ class Whitened:
     def _clear(self) -> None:
         self._kept.clear()
         self._numbers = 0
-
-
-def _alone(columns: Array) -> Array:
-    """Columns without the array of which they may be a part."""
-    return columns if columns.base is None else columns.copy()
 
 
 def weighed_columns(parts: Sequence[Array], weight: Array, out: Array) -> Array:

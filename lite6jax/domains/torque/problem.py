@@ -45,7 +45,7 @@ from lite6jax.effects.dynamic import (
 from lite6jax.effects.effect import require_kind, wave_angle
 from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
-from lite6jax.estimation.terms import Factored, Term, Terms
+from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fields import field_values
 
 # type checkers do not accept a cached property where a protocol declares a property
@@ -449,27 +449,12 @@ class TorqueProblem:
         undelayed = self._shown_everywhere(np.zeros(len(self.precision)), terms, values)
         return slope_of_delayed(undelayed, offsets, self._time, data.filter.runs)[:, data.filter.kept[self.chosen]]
 
-    def factored(self, term: Term) -> Factored | None:
-        """The same arrays each time for a linear effect on one joint; None for others, whose columns may change."""
-        if not isinstance(term, JointTorque) or isinstance(term, Scaling) or not term.linear:
-            return None
-        key = term.joint, term.process  # which is the same at all joints
-        if key not in self._factored:
-            site = np.zeros((1, self.rows, self.samples))
-            site[0, term.acts_on] = 1.0
-            self._factored[key] = Factored(site, (self._units(term) / self.sigma[term.acts_on])[:, 0])
-        return self._factored[key]
-
-    @cached_property
-    def _factored(self) -> dict[Hashable, Factored]:
-        return {}
+    def factored(self, term: Term) -> None:
+        """None: a term acts on one row, over which there is no sum."""
+        return
 
     def nuisance_columns(self, terms: Terms, values: Array) -> Array:
         """How residuals change with the inertial numbers, `(number, joint, sample)`."""
-        return self._nuisance_columns
-
-    @cached_property
-    def _nuisance_columns(self) -> Array:
         return self._inertial / self.sigma
 
     def relinearised(self, nuisance: Array, beside: tuple[Terms, Array] | None = None) -> "TorqueProblem":
