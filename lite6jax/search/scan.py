@@ -188,9 +188,9 @@ def is_wander(term: Term) -> TypeGuard[ProcessTerm]:
     return is_process(term) and kernel_of(term.kernel).undriven
 
 
-def _kind_of(name: Term) -> tuple[str, float | None]:
-    """What is one name, whatever its number; each order of a wave is one."""
-    return name.label, name.chosen if name.periodic else None
+def _is_tried(name: Term) -> bool:
+    """Tells whether a name has one of the numbers that are tried for it; an order of a wave has a cost of its own."""
+    return name.chosen is not None and not name.periodic
 
 
 def read_outs_of(problem: Problem) -> frozenset[str]:
@@ -233,7 +233,8 @@ class Scan:
         self.own = {site: [k for k, quantity in enumerate(drivers) if _is_own(quantity, site)] for site in sites}
         self.has_order = bool(orders)
         self.read_outs = read_outs_of(problem)
-        self._name_count = max(len({_kind_of(name) for name in self.names}), 1)
+        kinds = {name.label if _is_tried(name) else name for name in self.names}
+        self._name_count = max(len(kinds), 1)
         self._read_out_count = max(sum(self.is_read_out(component.site) for component in problem.components), 1)
         self._hidden_count = max(len(problem.components) - self._read_out_count, 1)
 
@@ -243,12 +244,13 @@ class Scan:
         """Cost of a name at a site and of a number chosen for it; even odds of what nearly every problem has."""
         if term.usual:
             return self.prior.cost("usual")
-        return float(self.prior.cost("named") + np.log(self._name_count) + self._cost_of_number(term.label))
+        of_number = self._cost_of_number(term.label) if _is_tried(term) else 0.0
+        return float(self.prior.cost("named") + np.log(self._name_count) + of_number)
 
     def _cost_of_number(self, label: str) -> float:
         """The cost of the number of a name, any that `_RATIOS` reach in the range of those of its label."""
         if label not in self._number_costs:
-            numbers = [name.chosen for name in self.names if name.label == label and name.chosen and not name.periodic]
+            numbers = [name.chosen for name in self.names if _is_tried(name) and name.label == label and name.chosen]
             step = np.log(_RATIOS[1] / _RATIOS[0])
             count = 1 + np.log(max(numbers) / min(numbers)) / step if numbers else 1.0
             self._number_costs[label] = float(np.log(count))
