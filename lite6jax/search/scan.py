@@ -6,7 +6,7 @@ them, at every component of every site. The cost is −ln of the prior probabili
 | | cost |
 |---|---|
 | a kind: name, wave, process of one quantity, of two; besides: repeats, a read-out that wanders or jumps | −ln p |
-| a name | ln of these, ln of the numbers of it that are tried; −ln p in all if nearly every problem has it |
+| a name | ln of their number, and ln 17 where a number of it is tried; −ln p in all if nearly every problem has it |
 | a wave | that, and ln of the orders that it is the best of |
 | a wave beside one of its angle, a multiple or a part of it | even odds of twice or half; else ln 2 and ln of these |
 | a read-out that wanders | ln of these, ln of the memories |
@@ -188,11 +188,6 @@ def is_wander(term: Term) -> TypeGuard[ProcessTerm]:
     return is_process(term) and kernel_of(term.kernel).undriven
 
 
-def _is_tried(name: Term) -> bool:
-    """Tells whether a name has one of the numbers that are tried for it; an order of a wave has a cost of its own."""
-    return name.chosen is not None and not name.periodic
-
-
 def read_outs_of(problem: Problem) -> frozenset[str]:
     """The sites whose read-out may wander: what does so there is noise, and elsewhere it is a hidden state."""
     return frozenset(site for quantity in problem.quantities if quantity.driver.is_order for site in quantity.own)
@@ -227,14 +222,11 @@ class Scan:
         self._products: dict[tuple[Any, ...], Array] = {}
         self._kept = 0
         self._costs: dict[tuple[str, tuple[int, ...], str], float] = {}
-        self._number_costs: dict[str, float] = {}
         self.discrete = [_is_discrete(quantity) for quantity in self.quantities]
         sites = {component.site for component in problem.components}
         self.own = {site: [k for k, quantity in enumerate(drivers) if _is_own(quantity, site)] for site in sites}
         self.has_order = bool(orders)
         self.read_outs = read_outs_of(problem)
-        kinds = {name.label if _is_tried(name) else name for name in self.names}
-        self._name_count = max(len(kinds), 1)
         self._read_out_count = max(sum(self.is_read_out(component.site) for component in problem.components), 1)
         self._hidden_count = max(len(problem.components) - self._read_out_count, 1)
 
@@ -244,17 +236,8 @@ class Scan:
         """Cost of a name at a site and of a number chosen for it; even odds of what nearly every problem has."""
         if term.usual:
             return self.prior.cost("usual")
-        of_number = self._cost_of_number(term.label) if _is_tried(term) else 0.0
-        return float(self.prior.cost("named") + np.log(self._name_count) + of_number)
-
-    def _cost_of_number(self, label: str) -> float:
-        """The cost of the number of a name, any that `_RATIOS` reach in the range of those of its label."""
-        if label not in self._number_costs:
-            numbers = [name.chosen for name in self.names if _is_tried(name) and name.label == label and name.chosen]
-            step = np.log(_RATIOS[1] / _RATIOS[0])
-            count = 1 + np.log(max(numbers) / min(numbers)) / step if numbers else 1.0
-            self._number_costs[label] = float(np.log(count))
-        return self._number_costs[label]
+        number = 0.0 if term.chosen is None or term.periodic else np.log(len(_RATIOS))
+        return float(self.prior.cost("named") + np.log(max(len(self.names), 1)) + number)
 
     def cost_of_process(self, site: str, which: tuple[int, ...], kind: str = "") -> float:
         """Cost of a process of one quantity or of two, any kernel of its kind, any component."""
