@@ -123,21 +123,23 @@ class _Lanes:
             self.squares(model.joint, model.readout[None], mask)[0] for model, mask in zip(models, masks, strict=True)
         ]
         active = list(range(len(models)))
+        columns = dict[int, Array]()  # of the models that no step has changed since
         for _ in range(most):
             if not active:
                 break
-            steps = [self._derivative_steps(current[k]) for k in active]
+            moved = [k for k in active if k not in columns]
+            steps = [self._derivative_steps(current[k]) for k in moved]
             changed = [
                 (current[k].joint, current[k].terms, current[k].numbers + np.diag(step))
-                for k, step in zip(active, steps, strict=True)
+                for k, step in zip(moved, steps, strict=True)
             ]
+            for k, step, readouts in zip(moved, steps, self.rolled(changed), strict=True):
+                columns[k] = np.nan_to_num((readouts - current[k].readout)[:, masks[k]] / step[:, None])
             trials = []
-            for k, step, readouts in zip(active, steps, self.rolled(changed), strict=True):
+            for k in active:
                 model = current[k]
-                mask = masks[k]
-                columns = np.nan_to_num((readouts - model.readout)[:, mask] / step[:, None])
-                residual = (self.measured[model.joint] - model.readout)[mask]
-                trials.append(self._steps_from(model, columns, residual, damping[k]))
+                residual = (self.measured[model.joint] - model.readout)[masks[k]]
+                trials.append(self._steps_from(model, columns[k], residual, damping[k]))
             asked = [(current[k].joint, current[k].terms, trial) for k, trial in zip(active, trials, strict=True)]
             going = []
             for k, trial, readouts in zip(active, trials, self.rolled(asked), strict=True):
@@ -151,6 +153,7 @@ class _Lanes:
                     continue
                 if sums[best] < (1 - _CONVERGED) * squares[k]:
                     going.append(k)
+                del columns[k]
                 squares[k] = sums[best]
                 damping[k] = max(damping[k] * _DAMPING[best], _LEAST_DAMPING)
                 current[k] = replace(model, numbers=trial[best], readout=readouts[best])
