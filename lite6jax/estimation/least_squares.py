@@ -35,6 +35,13 @@ _HALVINGS = 6
 """Most halvings of a step that does not improve; a step of 1/64 is no progress."""
 _DIFFERENCE = 1e-6
 """m or rad by which a difference is taken, between rounding and curvature."""
+_LEAST_SHARE = 0.1
+_MOST_SHARE = 0.8
+"""Between which the length of a step is of the one before for a step to be stretched: at most five times."""
+_ACROSS = 0.5
+"""Share of a squared step, at most, that is not along the one before where it is stretched."""
+_ANOTHER = 0.2
+"""Share by which a damped step of a curved problem differs from the last one that is tried."""
 _EXACT_ROUNDING = 1e-9
 """Relative eigenvalue below which a direction is rounding where derivatives are taken by differences.
 
@@ -110,6 +117,7 @@ class Fit:
         training: `(sample,)` bool, the samples it was fitted to.
         parameters: effective number of fitted parameters: those that only the prior determines do not count.
         converged: whether the last step was short enough.
+        stalled: whether it ended where no step led any further.
         noise: the noise model.
         penalty: sum over all numbers of the squared deviation from the prior's mean over the prior's variance.
         volume: ½ ln det(I + τ²λ) of all processes together, by which their evidence is less than the gain of the
@@ -129,6 +137,7 @@ class Fit:
     noise: NoiseModel
     penalty: float
     volume: float = 0.0
+    stalled: bool = False
 
     @property
     def scale(self) -> Array:
@@ -233,7 +242,7 @@ def fit(
         again = relinearised_fit(problem, terms, *start)[1]
         if again.gain_over(found) > 0:
             found = replace(again, nuisance=again.nuisance_about(problem), offset=problem.offset)
-    if found.converged or nuisance is None or not nuisance.any() or not _may_jump(terms):
+    if not found.stalled or nuisance is None or not nuisance.any() or not _may_jump(terms):
         return found
     again = _fitted(problem, terms, options, None, None, training, noise, False, False, whitened)[1]
     return again if again.gain_over(found) > 0 else found
@@ -346,11 +355,13 @@ def _fitted(
         return linearised_at(where, numbers[:k] - others[:k]) is not where
 
     bounds = _bounds(problem, terms)
-    least = float(problem.floored)
-    state = weighed(residual(problem, at), noise, training, least)
-    converged = False
+    floor = float(problem.floored)
+    settled = _EXACT_SETTLED if exact else options.fit.settled
+    state = weighed(residual(problem, at), noise, training, floor)
+    converged = stalled = False
     H = np.eye(0)
     damped = 0.0
+    last: Array | None = None
     columns: Sequence[Array | Factored] | None = None
     weight = np.zeros((problem.rows, problem.samples))
     information = _Information(None, weight, H)
@@ -380,22 +391,36 @@ def _fitted(
         trial = at
         rows = state.rows
         cost = np.inf
-        for step, damping in _steps(H, gradient, full, rounding, damped, options, problem.curved):
+        gains = list[float]()
+        stretch = 1.0 if last is None else _stretch(full, last, H)
+        for step, damping in _steps(
+            H, gradient, full, stretch, rounding, damped, options, gains if problem.curved else None
+        ):
             if problem.curved and _predicted_gain(step, gradient, H) < (_VISIBLE * options.fit.settled) ** 2:
                 continue
             trial = at + step
             trial[k:] = np.clip(trial[k:], *bounds)
             rows = residual(problem, trial)
             cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(problem, trial))
-            if cost <= before + 1e-9 * abs(before):
+            gains.append(before - cost)
+            least = 0.5 * length**2 if stretch > 1 and len(gains) == 1 else -1e-9 * abs(before)
+            if before - cost >= least:
                 if fresh:
                     damped = damping
                 break
+            if length < settled:
+                converged = True
+                break
         else:
             if fresh:
+                stalled = True
                 break  # derivatives at the point of linearisation lead no further
             columns = None
+            last = None
             continue
+        if converged:
+            break
+        last = full if step is full else None
         at = trial
         if moving and not problem.curved and length > _SHORT:
             problem = problem.relinearised(at[:k], (terms, at[k:]))
@@ -405,8 +430,8 @@ def _fitted(
             moved_cost = _cost(noise.whitened(rows), state, training) + _square(precision, prior(problem, at))
             # what is computed where a problem is linearised has no derivatives: steps may stay long at the end
             moving = before - moved_cost > 2 * _LEAST_GAIN
-        state = weighed(rows, noise, training, least)
-        if length < (_EXACT_SETTLED if exact else options.fit.settled):
+        state = weighed(rows, noise, training, floor)
+        if length < settled:
             converged = True
             break
         if before - cost < options.fit.settled**2:
@@ -423,7 +448,7 @@ def _fitted(
         effective = float(len(H) - np.sum(precision * np.diagonal(inverse)))
     penalty = _square(precision, prior(problem, at))
     volume = _volume_of_processes(H, precision, terms) + _shared_by_names(H, inverse, terms, CONFOUNDED)
-    rest = covariance, state, training, effective, converged, noise, penalty, volume
+    rest = covariance, state, training, effective, converged, noise, penalty, volume, stalled
     return problem, Fit(terms, at[:k], problem.offset, at[k:], *rest)
 
 
@@ -514,30 +539,78 @@ def _bounds(problem: LinearisedProblem, terms: Terms) -> tuple[Array, Array]:
 
 
 def _steps(
-    H: Array, gradient: Array, full: Array, rounding: float, damped: float, options: EngineOptions, curved: bool
+    H: Array,
+    gradient: Array,
+    full: Array,
+    stretch: float,
+    rounding: float,
+    damped: float,
+    options: EngineOptions,
+    gains: Sequence[float] | None,
 ) -> Iterator[tuple[Array, float]]:
     """The steps to try, each with its damping, until one improves the fit: the full one, halves of it, damped ones.
 
     Where numbers are nearly confounded, errors of the derivatives turn a full step far along what the data hardly
     determine, and halves of it point the same way. Damping bounds the step along these combinations alone (D.
     Marquardt, Journal of the Society for Industrial and Applied Mathematics 11, 1963). Once `damped`, a fit goes on
-    with at least that damping. Where residuals are curved, steps of the numbers that depend on each other alone are
-    tried at last: one part at a kink holds the others up.
+    with at least that damping. Where residuals are curved, each takes long to evaluate: a step is halved further only
+    if by the parabola through the first two gains a shorter one gains, and a damped one must be another. Steps of the
+    numbers that depend on each other alone are tried at last: one part at a kink holds the others up.
+
+    Args:
+        H: `(number, number)`, the normal equations.
+        gradient: `(number,)`.
+        full: `(number,)`, the undamped step.
+        stretch: times this step, which is tried before it.
+        rounding: relative eigenvalue below which a direction is rounding.
+        damped: the damping of the step before.
+        options: with the damping factors.
+        gains: of the steps that were tried, in log-likelihood, to which the caller adds each; None where residuals are
+            not curved.
     """
     if not damped:
-        yield from ((full / 2**k, 0.0) for k in range(_HALVINGS + 1))
+        if stretch > 1:
+            yield stretch * full, 0.0
+        yield full, 0.0
+        for k in range(1, _HALVINGS + 1):
+            yield full / 2**k, 0.0
+            if gains is not None and k == 1 and len(gains) > 1 and 4 * gains[-1] <= gains[-2]:
+                break
     steps = [(full, 0.0)]
+    last = None if damped else full
     for damping in options.damping:
         if damping >= damped:
             more = H.copy()
             more[np.diag_indices_from(H)] *= 1 + damping
-            steps.append((-scaled_solve(more, gradient, rounding), damping))
-            yield steps[-1]
-    if not curved:
+            step = -scaled_solve(more, gradient, rounding)
+            steps.append((step, damping))
+            if gains is None or last is None or np.linalg.norm(step - last) > _ANOTHER * np.linalg.norm(last):
+                last = step
+                yield steps[-1]
+    if gains is None:
         return
     count, part_of = scipy.sparse.csgraph.connected_components(H != 0, directed=False)
     if count > 1:
         yield from ((np.where(part_of == k, step, 0.0), damped) for step, _ in steps for k in range(count))
+
+
+def _stretch(full: Array, last: Array, H: Array) -> float:
+    """Times a full step that a fit goes, whose steps become shorter by the same share each.
+
+    Weights of Student's t and its scale follow the estimate, so that the error of a step is a share ρ of the one
+    before: all steps to come are together 1 / (1 − ρ) of this one (A. Aitken, Proceedings of the Royal Society of
+    Edinburgh 46, 1926).
+
+    Args:
+        full: `(number,)`, the step.
+        last: `(number,)`, the full step before.
+        H: `(number, number)`, the normal equations, in which steps are compared.
+    """
+    share = float(full @ H @ last) / max(float(last @ H @ last), 1e-300)
+    across = full - share * last
+    if not _LEAST_SHARE < share < _MOST_SHARE or across @ H @ across > _ACROSS * (full @ H @ full):
+        return 1.0
+    return 1 / (1 - share)
 
 
 def _predicted_gain(step: Array, gradient: Array, H: Array) -> float:

@@ -121,7 +121,7 @@ def select(
         exchanging = not names_alone and not selection.state.tested
         begun = _begun(*_every(problem, reference, last), training[::last], options, selection.start)
         selection = _selected(begun, options, exchanging, names_alone)
-    selection = _confirmed(_with_wandering_as_noise(selection, training[::last], options), options)
+    selection = confirmed(_with_wandering_as_noise(selection, training[::last], options), options)
     if not names_alone:
         selection = replace(selection, state=Selector(selection.problem, options.rough).weighed(selection.state))
     return selection if last == 1 else _of_all_samples(selection, last, problem, reference, training, options)
@@ -153,7 +153,7 @@ def supported(
     begun = at_estimate(_begun(*some, training[::every], options, start), options)
     state = Selector(begun.problem, options.rough).supported(begun.state)
     selection = at_estimate(replace(begun, state=state), options)
-    selection = _confirmed(_with_wandering_as_noise(selection, training[::every], options), options)
+    selection = confirmed(_with_wandering_as_noise(selection, training[::every], options), options)
     return selection if every == 1 else _of_all_samples(selection, every, problem, reference, training, options)
 
 
@@ -279,7 +279,7 @@ def chance_of(selector: Selector, state: State, k: int) -> float:
     return score.familywise(max(float(np.exp(tested.cost)), len(selector.scan.names)))
 
 
-def _confirmed(selection: Selection, options: EngineOptions) -> Selection:
+def confirmed(selection: Selection, options: EngineOptions) -> Selection:
     """With its fit to all digits, and without names that blocks of samples do not confirm.
 
     Evidence takes the noise as it is modelled; the score test by blocks does not.

@@ -30,7 +30,17 @@ from lite6jax.effects.kernels import kernel_of
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
-from lite6jax.estimation.problem import Component, CurvedProblem, Problem, acts_on, components_at, contribution, wave_of
+from lite6jax.estimation.problem import (
+    Component,
+    CurvedProblem,
+    Problem,
+    acts_on,
+    components_at,
+    contribution,
+    prior_precision,
+    wave_of,
+)
+from lite6jax.estimation.projection import scaled_solve
 from lite6jax.estimation.score_test import ScoreTest, remaining_noise_model, score_test
 from lite6jax.estimation.terms import ProcessTerm, Term, Terms, is_process
 from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, IMPOSSIBLE, LISTED, MARGIN
@@ -482,7 +492,30 @@ class Selector:
         return refitted(self.problem, state, [*kept, *new], self.options, self._whitened, starts)
 
     def _refitted(self, state: State, tested: Sequence[SelectedTerm]) -> State:
-        return refitted(self.problem, state, tested, self.options, self._whitened)
+        starts = dict[Term, Array]()
+        if len(tested) == len(state.tested):
+            pairs = zip(state.tested, tested, strict=True)
+            changed = [(before.term, after.term) for before, after in pairs if before.term != after.term]
+            starts = {after: self._start_from(before, after, state) for before, after in changed}
+        return refitted(self.problem, state, tested, self.options, self._whitened, starts)
+
+    def _start_from(self, before: Term, after: Term, state: State) -> Array:
+        """The numbers with which a term comes nearest to what one of a state did, in whose place it is.
+
+        A process that starts from zero leaves what it describes to the tails of the noise, and takes many steps.
+        """
+        f = state.fit
+        values = f.values[f.terms.slices[f.terms.terms.index(before)]]
+        if before.label == after.label and not after.nonparametric:
+            return values if before.size == after.size else np.zeros(after.size)
+        beside = f.terms, f.values
+        of_before = np.tensordot(values, self.problem.columns([before], values, beside), 1)
+        columns = self.problem.columns([after], beside=beside)
+        training = np.where(f.training, 1.0, 0.0)
+        columns = (columns * training).reshape(after.size, -1)
+        information = columns @ columns.T
+        information[np.diag_indices_from(information)] += prior_precision(self.problem, [after])
+        return scaled_solve(information, columns @ (of_before * training).ravel())
 
     def _without(self, state: State, left_out: set[int]) -> State:
         """Without some terms, refitted."""

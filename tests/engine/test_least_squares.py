@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis.recorded import OPTIONS, Made, fitted_to, static_motion, truth, with_effects
+from engine.linear_problem import Column, linear_problem
 from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.stats import chi2, multivariate_t, norm
@@ -13,7 +14,7 @@ from lite6jax.domains.pose.problem import pose_problem
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.estimation.least_squares import fit, weighed
 from lite6jax.estimation.noise import white_noise
-from lite6jax.estimation.options import FitOptions
+from lite6jax.estimation.options import DEFAULTS, FitOptions
 from lite6jax.estimation.projection import scaled_inverse, scaled_solve
 from lite6jax.estimation.robust import FREEDOM
 from lite6jax.estimation.terms import Terms
@@ -129,6 +130,22 @@ def test_one_wild_row_in_twenty_moves_nothing(arm, still, poses, seed):
     assert np.median(np.delete(fitted.residuals.weight[0], wild)) > 0.8
     assert set(np.flatnonzero(fitted.residuals.squares > 30 * 6)) == set(wild)
     assert fitted.scale[0] == pytest.approx(scale_among_wild_rows(len(wild) / SAMPLES), abs=0.04)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fit_of_few_steps_comes_near_its_end_in_heavy_tails(seed):
+    rng = np.random.default_rng(seed)
+    problem = linear_problem(rng, 400, noise=(1.0, 1.0))
+    wild = rng.random(problem.measured.shape) < 0.4
+    tails = 6.0 * np.abs(rng.standard_normal(wild.shape)) * np.sign(problem.data["u1"])
+    problem = replace(problem, measured=problem.measured + np.where(wild, tails, 0.0))
+    terms = Terms((Column("u1"), Column("u2")))
+    rough = fit(problem, terms, DEFAULTS.rough)
+    to_the_end = replace(DEFAULTS, fit=replace(DEFAULTS.fit, settled=1e-8, steps=200))
+    final = fit(problem, terms, to_the_end)
+    assert rough.converged
+    std = np.sqrt(np.diagonal(final.covariance))
+    np.testing.assert_allclose(rough.values / std, final.values / std, atol=0.003)
 
 
 def test_rows_left_out_do_not_count(arm, still, poses):
