@@ -46,7 +46,7 @@ from lite6jax.estimation.thresholds import BETTER, CLOSE, EXCHANGES, LISTED, MAR
 from lite6jax.progress import Stage, entered, followed, part
 from lite6jax.recordings import Recording
 from lite6jax.search.final_estimates import final_estimates
-from lite6jax.search.search import Selection, Start, chance_of, nearest_of, search, select
+from lite6jax.search.search import Selection, Start, chance_of, confirmed, nearest_of, search, select
 from lite6jax.search.select import Selector
 from lite6jax.search.state import Alternative, SelectedTerm, State, fitted_again, refitted
 
@@ -389,7 +389,8 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
         exchanges = exchanges + 1
     pairs = zip(state.tested, rivals, strict=True)
     compared = tuple(_with_alternatives(tested, weighed, of_term) for tested, of_term in pairs)
-    return replace(selection, state=replace(state, tested=compared))
+    selection = replace(selection, state=replace(state, tested=compared))
+    return _without_negligible(confirmed(selection, options), options) if exchanges else selection
 
 
 def _with_alternatives(tested: SelectedTerm, weighed: State, rivals: Sequence[State]) -> SelectedTerm:
@@ -437,48 +438,46 @@ def _without_negligible(selection: Selection, options: EngineOptions) -> Selecti
     """The selection without effects that move no joint by more than rollouts, or descriptions of others, may be wrong.
 
     Beside unknown servos that counts which these cannot do. Nor has the selection nonparametric effects that hardly
-    change any joint beside what is left there.
+    change any joint beside what is left there. Terms go one at a time: of two that can stand for each other one stays.
     """
-    state = selection.state
     problem = selection.problem
     assert isinstance(problem, TrackingProblem)
-    fit = state.fit
-    terms = fit.terms.terms
+    state = selection.state
+    while True:
+        without = _without_one_negligible(problem, state, options)
+        if without is None:
+            return replace(selection, state=state)
+        state = without
+
+
+def _without_one_negligible(problem: TrackingProblem, state: State, options: EngineOptions) -> State | None:
+    """A state without the last effect that counts for nothing, fitted anew; None where each counts."""
+    f = state.fit
     valid = problem.valid
-    whole = problem.residual(fit.nuisance, fit.terms, fit.values)
+    whole = problem.residual(f.nuisance, f.terms, f.values)
     remaining = np.mean(whole[:, valid] ** 2, 1)
     before = np.mean(state.baseline.residuals.rows[:, valid] ** 2, 1)
-    significant = []
-    for tested in state.tested:
-        others = fit.terms.part(fit.values, [term != tested.term for term in terms])
-        change = (whole - problem.residual(fit.nuisance, *others))[:, valid]
+    for k, tested in reversed(list(enumerate(state.tested))):
+        others = f.terms.part(f.values, [term != tested.term for term in f.terms.terms])
+        change = (whole - problem.residual(f.nuisance, *others))[:, valid]
         moved = np.mean(change**2, 1)
-        if np.all(np.sqrt(moved) * problem.noise < INEXACT):
+        is_inexact = np.all(np.sqrt(moved) * problem.noise < INEXACT)
+        is_idle = tested.term.nonparametric and np.max(moved / remaining) < (1 + _IDLE) ** 2 - 1
+        if not (is_inexact or is_idle or problem.unknowns):
             continue
-        if problem.unknowns and _is_of_servos(change, problem, others, before):
-            continue
-        if tested.term.nonparametric and np.max(moved / remaining) < (1 + _IDLE) ** 2 - 1:
-            continue
-        significant.append(tested)
-    if len(significant) == len(terms):
-        return selection
-    return replace(selection, state=refitted(problem, state, significant, options))
-
-
-def _is_of_servos(change: Array, problem: TrackingProblem, others: tuple[Terms, Array], before: Array) -> bool:
-    """Tells whether unknown servos can do what an effect changes, but for what other descriptions may be wrong.
-
-    Args:
-        change: `(joint, valid sample)`, over the noise.
-        problem: of the recording.
-        others: terms beside the effect, and their numbers.
-        before: `(joint,)`, mean squares over the noise without any effect.
-    """
-    by_servos = problem.nuisance_columns(*others)[:, :, problem.valid].reshape(len(problem.unknowns), -1).T
-    fitted = by_servos @ np.linalg.lstsq(by_servos, change.ravel(), rcond=None)[0]
-    left = change - fitted.reshape(change.shape)
-    allowed = np.maximum(_DISCREPANCY * np.sqrt(before), INEXACT / problem.noise)
-    return bool(np.all(np.sqrt(np.mean(left**2, 1)) < allowed))
+        # servos are fitted anew: their columns at an estimate say little of numbers far from there
+        without = refitted(problem, state, [*state.tested[:k], *state.tested[k + 1 :]], options.rough)
+        if is_inexact or is_idle:
+            return without
+        g = without.fit
+        lost = (problem.residual(g.nuisance, g.terms, g.values) - whole)[:, valid]
+        alone = f.terms.part(f.values, [term == tested.term for term in f.terms.terms])
+        by_others = np.mean((whole - problem.residual(f.nuisance, *alone))[:, valid] ** 2, 1)
+        described = _DISCREPANCY * np.sqrt(np.maximum(before, by_others))
+        allowed = np.maximum(described, INEXACT / problem.noise)
+        if np.all(np.sqrt(np.mean(lost**2, 1)) < allowed):
+            return without
+    return None
 
 
 def _errors_of_refit(held: Mask, selection: Selection, options: EngineOptions) -> HeldOut:
