@@ -31,7 +31,7 @@ from lite6jax.estimation.thresholds import CLOSE
 from lite6jax.progress import entered
 from lite6jax.recordings import FactoryUncertainty, Recording, require_samples
 from lite6jax.recordings.fault import DataFault
-from lite6jax.search.search import Selection, Start, reviewed, supported
+from lite6jax.search.search import NO_TERMS, Selection, Start, reviewed, supported
 
 _evidence = attrgetter("evidence")
 _UNCERTAINTIES = np.geomspace(1e-7, 1e-3, 81)
@@ -187,13 +187,16 @@ class Case:
         require_samples(screened.recording, problem.undeclared + 1)
         entered("linearising")
         at_offset, reference = linearised(problem, engine, training)
-        if decisions.physics is None:
+        physics = decisions.physics
+        if screened.count("computed_pose"):  # what is left is rounding, which no physics made
+            physics = NO_TERMS
+        if physics is None:
             selection = search_load_model(at_offset, reference, engine, training)
         else:
             at_offset = at_offset.with_loads(decisions.accelerated)
             reference = reference.with_loads(decisions.accelerated)
             rows = problem.valid if training is None else training
-            selection = supported(at_offset, decisions.physics, engine, rows, reference)
+            selection = supported(at_offset, physics, engine, rows, reference)
         readings = float(problem.rows * selection.state.fit.training.sum())
         return Explanation(screened, selection, price(screened, readings, problem.samples), decisions)
 

@@ -49,7 +49,7 @@ from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily, Problem, wave_of
 from lite6jax.estimation.score_test import ScoreTest, bounded_parts
 from lite6jax.estimation.terms import ProcessTerm, Term, is_process
-from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER
+from lite6jax.estimation.thresholds import CLOSE, CONFOUNDED, LOWEST_ORDER, MARGIN
 from lite6jax.search.spectrum import Line, line_of, modulated_spectrum
 
 _KERNELS_OF = {**Counter(kernel.prior for kernel in KERNELS.values()), "product": len(PAIRS) / 2}
@@ -64,6 +64,8 @@ _REPEATING = [name for name, kernel in KERNELS.items() if kernel.any_order]
 _JUMPING = [name for name, kernel in KERNELS.items() if kernel.any_sample]
 _UNDRIVEN = [name for name, kernel in KERNELS.items() if kernel.undriven]
 _MEMORIES = sum(len(kernel.grid) for kernel in KERNELS.values() if kernel.undriven)
+_LEAST_MEMORY = 3.0
+"""Samples after which a hidden state is still like itself, by e⁻¹: what forgets sooner is noise of its component."""
 _LEAST_CORNER = 1.6
 """Half-waves over the recording of a hidden state, and of the first read-out that wanders, at least."""
 _HIDDEN = 8
@@ -773,7 +775,8 @@ class ModelScan:
     def hidden_states(self) -> list[Ranked]:
         """What nobody recorded and no read-out does: components that wander, the likeliest weighed exactly.
 
-        They have a memory of a fifth of the recording at most: what varies more slowly is a function of the time.
+        They have a memory of a fifth of the recording at most: what varies more slowly is a function of the time. Where
+        independent noise at the component explains as much, that is larger there than at others, and nothing wanders.
         """
         hidden = [component for component in self.components if not self._scan.is_read_out(component.site)]
         if not self._scan.has_order or not hidden:
@@ -789,13 +792,17 @@ class ModelScan:
         candidates = []
         for place in np.argsort(-rough)[:_HIDDEN]:
             if rough[place] > 0:
-                candidates += self._of_wander(hidden[place])
+                noise = float(self._marginal.of_noise(hidden[place].column).gain)
+                candidates += [wander for wander in self._of_wander(hidden[place]) if wander.gain > noise + MARGIN]
         return _best_of_each(candidates)
 
     def _of_wander(self, component: Component) -> list[Ranked]:
         """What wanders at a component, with each memory that it may have there."""
         wandering = self._of_rolloffs(component, self._scan.drivers, exact=True)
-        return wandering if self._scan.is_read_out(component.site) else _of_short_memory(wandering)
+        if self._scan.is_read_out(component.site):
+            return wandering
+        most = self._problem.samples / (np.pi * _LEAST_MEMORY)
+        return [candidate for candidate in _of_short_memory(wandering) if candidate.process[3][0] <= most]
 
     def _rough_gains_of_wander(self, components: Sequence[Component]) -> Array:
         """The evidence of what wanders at each component, as if its waves had nothing in common."""

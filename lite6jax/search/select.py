@@ -242,8 +242,9 @@ class Selector:
                 return self._in_likeliest_components(added, state)
         for candidate in worth:
             added = self._added(state, [candidate])
+            moved = self._acted_on(candidate, state)
             for rival in self._named_rivals(state, candidate):
-                if added.evidence < state.evidence + self._most_gained(rival, candidate, state):
+                if added.evidence < state.evidence + self._most_gained(rival, moved, state):
                     added = max(added, self._added(state, [rival]), key=lambda trial: trial.evidence)
             if added.evidence > state.evidence + MARGIN:
                 state = self._in_likeliest_components(added, state)
@@ -316,10 +317,10 @@ class Selector:
         worth = [name for name in ModelScan(self.scan, test).named() if name.net >= MARGIN]
         return [name for name in self._not_refused(worth, test, state) if (rows & self._acted_on(name, state)).any()]
 
-    def _most_gained(self, rival: Ranked, candidate: Ranked, state: State) -> float:
-        """The log-likelihood that a rival gains at most: of fewer rows than a candidate moves, all but their noise."""
+    def _most_gained(self, rival: Ranked, moved: Mask, state: State) -> float:
+        """The log-likelihood that a rival gains at most: of fewer rows than `moved` `(row,)` all but their noise."""
         acted_on = self._acted_on(rival, state)
-        if np.all(acted_on >= self._acted_on(candidate, state)):
+        if np.all(acted_on >= moved):
             return float(np.inf)
         f = state.fit
         of_sample = np.log(np.maximum(f.scale[self.problem.groups], 1.0)) + 0.5
@@ -970,15 +971,19 @@ class Selector:
     def names_instead(self, state: State, k: int) -> list[State]:
         """States with another name in the place of the k-th, one that moves the same rows, each fitted.
 
-        These are names that by their columns are worth `_LIKELY` of the likeliest.
+        These are names that by their columns are worth `_LIKELY` of the likeliest, and move enough rows to come near.
         """
         term = state.tested[k].term
-        named = self._names_moving(self._rows(term, state), self.beside(state, k), state)
+        moved = self._rows(term, state)
+        named = self._names_moving(moved, self.beside(state, k), state)
         named = [name for name in named if name.cause[0] != term.label]
         least = _LIKELY * max((name.net for name in named), default=0.0)
         without = self._left_out(state, k)
+        near = state.evidence - CLOSE - without.evidence
         instead = list[State]()
         for name in (name for name in named if name.net >= least):
+            if self._most_gained(name, moved, without) < near:
+                continue
             trial = self._within_bounds(self._with(without, name))
             if len(trial.tested) > len(without.tested):
                 instead.append(self.weighed(trial))

@@ -26,8 +26,10 @@ from lite6jax.diagnosis.explanation import explain as explain_with
 from lite6jax.diagnosis.options import Options
 from lite6jax.domains.pose.screening.screen import screen
 from lite6jax.progress import Stage
+from lite6jax.recordings import Recording
 from lite6jax.report.sections import diagnosis_report
 from lite6jax.report.statements import with_statements
+from tests.oracles.transforms import quaternions
 
 SAMPLES = 200
 TWO_FOLDS = Options(folds=2)
@@ -265,6 +267,29 @@ def test_one_number_that_is_off_is_physics(tmp_path):
     explanation = explain(made.recording(static_motion(5, SAMPLES)))
     assert found(explanation.selection) == [("joint_offset", "joint3")]
     assert explanation.screened.found == ()
+
+
+def test_poses_that_a_controller_computed_hold_no_physics(tmp_path):
+    """A nanometre that wanders is rounding: no sensor saw it."""
+    samples = 80
+    motion = static_motion(4, samples)
+    poses = Made(tmp_path, seed=2).poses(motion)
+    rounding = 2e-10 * np.random.default_rng(3).standard_normal((samples, 3))
+    wandering = 1e-9 * np.sin(np.arange(samples) / 9)[:, None] * np.array([1.0, 0.3, -0.5])
+    position = poses[:, :3, 3] + wandering + rounding
+    declared = {
+        "arm": "lite6",
+        "motion": "static",
+        "pose_frame": "base",
+        "tool": "none",
+        "pose_source": "laser_tracker",
+    }
+    recording = Recording.from_arrays(
+        motion["joint_position"], position, quaternion=quaternions(poses[:, :3, :3]), **declared
+    )
+    diagnosis = diagnose(recording, geometry="free")
+    assert [fault.code for fault in diagnosis.faults] == ["computed_pose"]
+    assert diagnosis.findings == ()
 
 
 class TestPublishedTables:

@@ -68,6 +68,15 @@ def test_a_simulator_cannot_hold_what_wanders(diagnosis):
     assert any(phrase.endswith("which wanders by itself") for phrase in left_out)
 
 
+def test_noise_that_is_larger_along_one_axis_is_no_hidden_state(tmp_path):
+    samples = 120
+    motion = static_motion(3, samples) | {"joint_temperature": np.full((samples, 6), 25.0)}
+    made = Made(tmp_path, seed=1, orientation=False)
+    poses = made.poses(motion)
+    poses[:, 2, 3] += SIZE * np.random.default_rng(7).standard_normal(samples)
+    assert diagnose_poses(made.recording(motion, poses=poses), options=QUICK).findings == ()
+
+
 def test_a_smooth_drift_is_a_function_of_the_time(tmp_path):
     place = np.linspace(0.0, 1.0, SAMPLES)
     found = diagnose_poses(recorded(tmp_path, SIZE * np.sin(9 * place)), options=QUICK)
