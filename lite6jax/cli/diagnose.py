@@ -28,7 +28,7 @@ with import_lazily():
     from lite6jax import recordings, threads, workers
     from lite6jax.arms import simulator as simulators
     from lite6jax.calibration import source
-    from lite6jax.diagnosis import diagnose, fold_processes
+    from lite6jax.diagnosis import diagnose, fold_processes, servo_export
     from lite6jax.diagnosis import document as diagnosis_file
     from lite6jax.diagnosis import options as diagnosis_options
     from lite6jax.domains import predict
@@ -55,6 +55,8 @@ with import_lazily():
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from lite6jax.arms.files import Conversion
 
     Found = diagnose.Diagnosis | diagnose.TorqueDiagnosis | diagnose.TrackingDiagnosis
 
@@ -100,7 +102,7 @@ class DiagnoseCommand:
         lite6jax diagnose run7.csv --reference gazebo.csv --out diagnosis.json
         lite6jax diagnose touched_left.csv touched_right.csv --out diagnosis.json
         lite6jax diagnose tracker_in_front.csv tracker_beside.csv --out diagnosis.json
-        lite6jax diagnose log.csv --simulator model.xml --out diagnosis.json
+        lite6jax diagnose log.csv --simulator model.xml --corrected corrected.xml
         lite6jax diagnose recordings --out results
         lite6jax diagnose --fleet recordings --out results
     """
@@ -122,6 +124,9 @@ class DiagnoseCommand:
     simulator: Annotated[str | None, arg(metavar="MODEL.xml")] = None
     """Of commands, compare with this simulator: an MJCF with position actuators, whose arm and servos are then the
     nominal ones. MODEL.xml#TIP or MODEL.xml#BASE:TIP names a chain of several."""
+    corrected: command.OutFile = None
+    """Of commands, write the arm with its servos and what was found here: an MJCF (.xml), a URDF (.urdf), a description
+    (.yaml) or a rollout in NumPy (.py), as `convert` does of the document."""
     arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: command.Geometry = "declared"
@@ -179,16 +184,31 @@ class DiagnoseCommand:
                 raise InputError(f"--{option}: is for a folder of recordings; {self.source} is one file")
         command.check_processes(self.processes, None)
         read = [self.source, *self.more, self.reference, self.arm, self.simulator, self.effects]
-        command.check_outputs([self.out, self.report], read, self.force, (".json", ".html"))
+        command.check_outputs([self.out, self.report, self.corrected], read, self.force, (".json", ".html"))
+        if self.corrected is not None:
+            servo_export.servo_form(self.corrected)
         recording, result = self.search()
         document = self.document(result)
         written = self.write(result, document)
+        corrections = self._write_corrected(result)
+        written += [conversion.path for conversion in corrections]
         files = ranking.Files(self.source, self.out, self.effects)
         report = sections.diagnosis_report(document, str(self.source), files, self.details)
         bad = isinstance(result, diagnose.Diagnosis) and result.quality.verdict == "bad"
         code = command.BAD_FIT if bad else command.DONE
         notes = [*recording.notes, *self._of_other_domains(recording)]
-        return _present(self.json, document, chain(report, screen.notes(notes)), written, code)
+        conversions = chain.from_iterable(map(listings.conversion_report, corrections))
+        return _present(self.json, document, chain(report, conversions, screen.notes(notes)), written, code)
+
+    def _write_corrected(self, found: "Found") -> "list[Conversion]":
+        """Writes the arm with its servos and what was found, where there is a place for it."""
+        if self.corrected is None:
+            return []
+        models = [part.model for part in found.parts if isinstance(part, diagnose.TrackingDiagnosis)]
+        source_name = str(self.source)
+        return [
+            servo_export.convert_servos(model, self.corrected, None, self.force, None, source_name) for model in models
+        ]
 
     def _of_other_domains(self, recording: "recordings.Recording") -> list[str]:
         """That commands stand beside what was diagnosed, and the command that diagnoses them."""
@@ -209,8 +229,14 @@ class DiagnoseCommand:
         # other processes cannot import classes that this one reads from a file
         with contextlib.nullcontext() if self.effects else share_folds(self.processes):
             recording, search = self._prepare()
+            diagnosed = diagnose.domains_of(recording, self._domain(recording))
+            if self.corrected is not None and "tracking" not in diagnosed:
+                raise InputError(
+                    f"--corrected: holds what a diagnosis of commands found, and this one is of "
+                    f"{' and '.join(diagnosed)}; write --out diagnosis.json, and convert that"
+                )
             if self.figures is not None:
-                names = diagnosis_figures.figure_names(diagnose.domains_of(recording, self._domain(recording)))
+                names = diagnosis_figures.figure_names(diagnosed)
                 command.check_figures(self.figures, [f"{self.source.stem}_{name}" for name in names], self.force)
             with screen.stages() as follow:
                 return recording, search(progress=follow)
@@ -303,6 +329,7 @@ class DiagnoseCommand:
         of_one_recording = {
             "reference": self.reference,
             "simulator": self.simulator,
+            "corrected": self.corrected,
             "report": self.report,
             "figures": self.figures,
         }

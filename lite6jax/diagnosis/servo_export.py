@@ -101,9 +101,7 @@ def convert_servos(
         InputError: a form that holds a chain only, an arm without masses for MJCF, or as `convert_file`.
     """
     target = Path(target)
-    form = "urdf" if into is not None else form or files.form_of(target, False)
-    if form not in _HELD:
-        raise InputError(f"{target}: the form {form} holds a chain only; write {', '.join(_HELD)}")
+    form = servo_form(target, "urdf" if into is not None else form)
     if form not in ("mjcf", *files.OF_SERVOS):
         arm, left_out = diagnosed_servo_arm(model)
         servo = model.model.servo
@@ -118,6 +116,18 @@ def convert_servos(
     text = numpy_rollout(model) if form == "numpy" else isaac_actuators(model)
     storage.write_atomically(target, text, overwrite)
     return files.Conversion(target, form, model.arm, tuple(_left_out(model, form)), 0.0)
+
+
+def servo_form(target: Path, form: files.FileForm | None = None) -> files.FileForm:
+    """The form of a file that holds servos, by its suffix where it is not given.
+
+    Raises:
+        InputError: a suffix of no form, or a form that holds a chain only.
+    """
+    form = form or files.form_of(target, False)
+    if form not in _HELD:
+        raise InputError(f"{target}: the form {form} holds a chain only; write {', '.join(_HELD)}")
+    return form
 
 
 def diagnosed_servo_arm(model: DiagnosedServos) -> tuple[Arm, tuple[str, ...]]:

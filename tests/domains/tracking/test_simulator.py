@@ -249,10 +249,9 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def document(folder):
-    code = cli.main(
-        ["diagnose", str(folder / "log.csv"), "--simulator", str(folder / "model.xml"), "--out", str(folder / "d.json")]
-    )
-    assert code == 0
+    words = ["--simulator", "model.xml", "--out", "d.json", "--corrected", "corrected.xml"]
+    files = [str(folder / word) if "." in word else word for word in ("log.csv", *words)]
+    assert cli.main(["diagnose", *files]) == 0
     return json.loads((folder / "d.json").read_text())
 
 
@@ -274,6 +273,27 @@ def test_the_simulator_is_a_peer_and_before(document, folder):
     assert document["simulator"]["timestep_s"] == STEP
     roles = {entry["role"]: entry["file"] for entry in document["inputs"]}
     assert roles["simulator"] == "model.xml"
+
+
+def test_a_model_and_a_log_become_a_corrected_model(capsys, document, folder):
+    corrected = read_simulator(folder / "corrected.xml")
+    friction = [servo["coulomb_Nm"] for servo in document["servos"]]
+    np.testing.assert_allclose(corrected.arm.coulomb_friction, friction, rtol=1e-6)
+    assert friction[1] == pytest.approx(1.5, abs=0.06)
+    code, *_ = run(capsys, "convert", folder / "d.json", folder / "converted.xml")
+    assert code == 0
+    assert (folder / "converted.xml").read_text() == (folder / "corrected.xml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--corrected", "model.json"], "the form table holds a chain only"),
+        (["--corrected", "model.txt"], "no form has this suffix"),
+    ],
+)
+def test_a_corrected_model_that_holds_no_servos_is_refused_before_any_work(capsys, folder, options, message):
+    assert message in refused(capsys, "diagnose", folder / "log.csv", "--simulator", folder / "model.xml", *options)
 
 
 def test_the_report_names_the_simulator(capsys, document, folder):
