@@ -125,8 +125,8 @@ class DiagnoseCommand:
     """Of commands, compare with this simulator: an MJCF with position actuators, whose arm and servos are then the
     nominal ones. MODEL.xml#TIP or MODEL.xml#BASE:TIP names a chain of several."""
     corrected: command.OutFile = None
-    """Of commands, write the arm with its servos and what was found here: an MJCF (.xml), a URDF (.urdf), a description
-    (.yaml) or a rollout in NumPy (.py), as `convert` does of the document."""
+    """Of commands, write the arm with its servos and what was found here, as `convert` does of the document. It is an
+    MJCF (.xml), a URDF (.urdf), a description (.yaml) or a rollout in NumPy (.py)."""
     arm: command.ArmName = None
     """The nominal arm; from the sidecar where not given."""
     geometry: command.Geometry = "declared"
