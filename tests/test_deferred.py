@@ -108,8 +108,11 @@ ENGINE = (
     *("scipy.signal", "scipy.stats", "scipy.spatial", "scipy.optimize", "optimistix", "matplotlib", "equinox"),
 )
 """What diagnoses, and the parts of libraries that take long: a command that fits a calibration needs none of them."""
-LIGHT = ("lite6jax.estimation", "lite6jax.estimation.robust", "lite6jax.estimation.thresholds")
-"""Of them, what is a few numbers, or a few functions of NumPy."""
+LIGHT = (
+    *("lite6jax.estimation", "lite6jax.estimation.robust", "lite6jax.estimation.thresholds"),
+    "lite6jax.domains.pose",
+)
+"""Of them, what is a few numbers, or a few functions of NumPy, or a package that itself holds nothing."""
 
 
 COMMANDS = (

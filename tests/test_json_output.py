@@ -9,7 +9,7 @@ from typed import run
 
 from lite6jax.arms.description import load_bundled
 from lite6jax.arms.factory import write_factory
-from lite6jax.cli.program import COMMANDS
+from lite6jax.cli.program import COMMANDS, load_command
 from lite6jax.report import screen
 
 LITE6 = load_bundled("lite6")
@@ -25,7 +25,7 @@ def calibration(tmp_path_factory):
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - SILENT))
 def test_every_command_that_reports_has_the_option(name):
-    assert "json" in {field.name for field in fields(COMMANDS[name])}
+    assert "json" in {field.name for field in fields(load_command(name))}
 
 
 def test_fit_check_and_convert_print_documents(capsys, calibration, tmp_path):

@@ -11,7 +11,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes
 import lite6jax
 from docs.hooks import made, screens
 from docs.pictures import from_python
-from lite6jax.cli.program import COMMANDS
+from lite6jax.cli.program import COMMANDS, load_command
 
 DOCUMENTS = [screens.README, *sorted((screens.ROOT / "docs").rglob("*.md"))]
 MADE_PAGES = [document for document in DOCUMENTS if made.PART.search(document.read_text())]
@@ -93,7 +93,7 @@ def test_the_python_of_the_readme_runs_and_is_drawn():
 @pytest.mark.parametrize("words", list(named_commands()))
 def test_a_command_that_is_named_is_accepted(words):
     name, *arguments = words
-    tyro.cli(COMMANDS[name], args=arguments, config=(FlagCreatePairsOff, OmitArgPrefixes))
+    tyro.cli(load_command(name), args=arguments, config=(FlagCreatePairsOff, OmitArgPrefixes))
 
 
 def options_of(command):
@@ -104,7 +104,7 @@ def options_of(command):
 
 
 def test_the_options_that_a_text_names_exist():
-    known = {"--help", "--version"}.union(*map(options_of, COMMANDS.values()))
+    known = {"--help", "--version"}.union(*(options_of(load_command(name)) for name in COMMANDS))
     of_benchmarks = {"CHANGELOG", "CONTRIBUTING", "benchmarks", "proof"}
     for document in DOCUMENTS:
         if document.stem not in of_benchmarks:

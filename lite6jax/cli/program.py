@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import is_dataclass
 from functools import reduce
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from io import TextIOWrapper
 from typing import Annotated, Any
@@ -20,46 +21,38 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, arg, subcommand
 
-from lite6jax.cli.arms import ArmsCommand, ConvertCommand, EffectsCommand
 from lite6jax.cli.command import BAD_INPUT, DONE, INTERRUPTED, MEANINGS, READER_LEFT
-from lite6jax.cli.demo import DemoCommand
-from lite6jax.cli.diagnose import CompensateCommand, DiagnoseCommand, PredictCommand, ReportCommand, ViewCommand
-from lite6jax.cli.fit import CheckCommand, CompareCommand, FitCommand, FleetCommand
-from lite6jax.cli.init import DetectCommand, InitCommand
-from lite6jax.cli.live import EmulateCommand, ReadCommand, RecordCommand
-from lite6jax.cli.simulate import SimulateCommand
-from lite6jax.cli.study import DesignCommand, IdentifyCommand, SensitivityCommand
 from lite6jax.deferred import import_lazily
 from lite6jax.errors import InputError, InputWarning, name_options
 
 with import_lazily():
     from lite6jax.calibration import compiled
 
-_COMMANDS = (
-    InitCommand,
-    DetectCommand,
-    FitCommand,
-    CompareCommand,
-    FleetCommand,
-    IdentifyCommand,
-    SensitivityCommand,
-    DesignCommand,
-    DiagnoseCommand,
-    ReportCommand,
-    ViewCommand,
-    PredictCommand,
-    CompensateCommand,
-    SimulateCommand,
-    EmulateCommand,
-    ConvertCommand,
-    CheckCommand,
-    ReadCommand,
-    RecordCommand,
-    EffectsCommand,
-    ArmsCommand,
-    DemoCommand,
-)
-COMMANDS = {command.__name__.removesuffix("Command").lower(): command for command in _COMMANDS}
+COMMANDS = {
+    "init": "init",
+    "detect": "init",
+    "fit": "fit",
+    "compare": "fit",
+    "fleet": "fit",
+    "identify": "study",
+    "sensitivity": "study",
+    "design": "study",
+    "diagnose": "diagnose",
+    "report": "diagnose",
+    "view": "diagnose",
+    "predict": "diagnose",
+    "compensate": "diagnose",
+    "simulate": "simulate",
+    "emulate": "live",
+    "convert": "arms",
+    "check": "fit",
+    "read": "live",
+    "record": "live",
+    "effects": "arms",
+    "arms": "arms",
+    "demo": "demo",
+}
+"""The module of this package that holds each command, in the order in which help lists them."""
 DESCRIPTION = f"""Find what the model of a robot arm lacks, from measured poses or joint torques, correct it, and fit
 calibrations: of a UFACTORY Lite 6, or of any serial arm.
 
@@ -129,6 +122,12 @@ def _version() -> str:
         return "(not installed)"
 
 
+def load_command(name: str) -> Any:
+    """The class of a command. Only its own module is imported."""
+    module = import_module(f"lite6jax.cli.{COMMANDS[name]}")
+    return vars(module)[f"{name.capitalize()}Command"]
+
+
 # ------------------------------------------------------------------ help
 
 
@@ -142,7 +141,7 @@ def _parse(arguments: Sequence[str]) -> Any:
     name = arguments[0] if arguments else ""
     if name not in COMMANDS:
         return tyro.cli(_list_commands(), prog="lite6jax", description=DESCRIPTION, args=arguments, **parser_options)
-    command = COMMANDS[name]
+    command = load_command(name)
     if _asks_help(arguments):
         _describe_options(command)
     text = inspect.getdoc(command) or ""  # as it stands: tyro would join the lines of the examples
@@ -152,7 +151,8 @@ def _parse(arguments: Sequence[str]) -> Any:
 def _list_commands() -> Any:
     """All commands as tyro takes them, each with the first paragraph of its description."""
     commands = []
-    for name, command in COMMANDS.items():
+    for name in COMMANDS:
+        command = load_command(name)
         text = " ".join((inspect.getdoc(command) or "").partition("\n\n")[0].split())
         commands.append(Annotated[command, subcommand(name, description=text)])
     return reduce(operator.or_, commands)
