@@ -25,7 +25,13 @@ from lite6jax.domains.tracking.model import (
 from lite6jax.domains.tracking.predict import DiagnosedServos, friction_share_of
 from lite6jax.domains.tracking.ranges import range_of
 from lite6jax.domains.tracking.rollout import CHANNELS, FRICTION, MOST_LANES, roll
-from lite6jax.domains.tracking.rows import TrackingRows, begins_at_rest, usual_payload
+from lite6jax.domains.tracking.rows import (
+    LEAST_GEAR,
+    TrackingRows,
+    begins_at_rest,
+    gains_of_other_units,
+    usual_payload,
+)
 from lite6jax.domains.tracking.undetermined import LOADED, untestable_effects
 from lite6jax.effects.catalogue import SPEEDS, Untestable, resolved_speeds, torque_shaped, tracking_catalogue
 from lite6jax.effects.drivers import Driver, joint_driver
@@ -49,6 +55,7 @@ from lite6jax.effects.servo import (
     ServoDamping,
     ServoStiffness,
 )
+from lite6jax.errors import InputError
 from lite6jax.estimation.problem import Component, DriverValues, PeriodicFamily
 from lite6jax.estimation.terms import Term, Terms
 from lite6jax.fields import field_values
@@ -877,6 +884,9 @@ def tracking_problem(data: TrackingRows) -> TrackingProblem:
     """The problem of a recording, at the declared servos, or at ones that are near those that fit best.
 
     Unknown servos are mostly those of a real arm: friction holds its joints rigidly until it is known better.
+
+    Raises:
+        InputError: a joint moves as in another unit than its command, and declared servos would not move it so.
     """
     unknowns = unknowns_of(data)
     candidates = candidates_beside(data, unknowns)
@@ -893,10 +903,26 @@ def tracking_problem(data: TrackingRows) -> TrackingProblem:
         untestable=missing,
         valid=np.ones(len(chosen), bool),
     )
+    _require_one_unit(problem)
     if not unknowns:
         return problem
     rigid = np.full(problem.rows, RIGID_GRIP)
     return started(replace(problem, servo=problem.servo._replace(grip=rigid)))
+
+
+def _require_one_unit(problem: TrackingProblem) -> None:
+    even = problem.data.recording
+    for joint, gain in gains_of_other_units(even).items():
+        if problem.data.declared:
+            described = problem.readouts(np.zeros(0), Terms(), np.zeros(0))[joint]
+            expected = np.std(described) / np.std(np.asarray(even.commanded_position)[:, joint])
+            if 1 / LEAST_GEAR < gain / expected < LEAST_GEAR:
+                continue
+        column = joint + 1
+        raise InputError(
+            f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
+            "unit, after the same gear"
+        )
 
 
 _GRIPS = np.geomspace(0.03, 1e4, 13)

@@ -331,7 +331,7 @@ def lagged_correlation(command: Array, measured: Array, period: float) -> Array:
 
 
 def _check_commands(even: Recording) -> None:
-    """Refuses read-outs that follow commands with another sign or unit, or those of another joint.
+    """Refuses read-outs that follow commands with another sign, or those of another joint.
 
     Read-outs and commands are correlated at the lag of at most `LATEST` that suits each pair best.
     """
@@ -353,15 +353,21 @@ def _check_commands(even: Recording) -> None:
                 f"{even.source}: q{column}_rad follows cmd{moving[other] + 1}_rad and not cmd{column}_rad; exchange "
                 "the columns"
             )
-        gain = follows * np.std(measured[:, joint]) / np.std(command[:, joint])
-        least = 1 / LEAST_GEAR
-        if not isinstance(even.settings.servo, ServoSettings) and min(abs(gain / unit - 1) for unit in _UNITS) > _NEAR:
-            least = 0.0  # a servo of which nothing is known may be so soft
-        if follows > FOLLOWS and not least < gain < LEAST_GEAR:
-            raise InputError(
-                f"{even.source}: q{column}_rad moves {gain:.3g} times as far as cmd{column}_rad; give both in the same "
-                "unit, after the same gear"
-            )
+
+
+def gains_of_other_units(even: Recording) -> dict[int, float]:
+    """The joints, from 0, that follow their commands as in another unit or after a gear: how far, over the commands."""
+    command = np.asarray(even.commanded_position)
+    gains = {}
+    for joint in np.flatnonzero((np.std(command, 0) > MOVING) & (np.std(even.joint_position, 0) > MOVING)).tolist():
+        measured = even.joint_position[:, [joint]]
+        follows = float(lagged_correlation(command[:, [joint]], measured, period_of(even))[0, 0])
+        gain = follows * float(np.std(measured) / np.std(command[:, joint]))
+        # one below all of these is that of a soft servo, or of friction that holds the joint
+        is_of_unit = gain >= LEAST_GEAR or min(abs(gain / unit - 1) for unit in _UNITS) <= _NEAR
+        if follows > FOLLOWS and is_of_unit:
+            gains[joint] = gain
+    return gains
 
 
 def _held(even: Recording, noise: Array, longest: float) -> Commands:

@@ -175,6 +175,16 @@ def test_what_is_no_tracking_recording_is_refused(recording, message):
         fit_servos(recording(), PENDULUM)
 
 
+def test_a_joint_that_declared_servos_move_half_as_far_is_in_its_unit():
+    soft = {"stiffness_Nm_per_rad": [2.4], "damping_Nm_s_per_rad": [0.3]}
+    log = record(commands_of(600), soft, kp=2.4, kd=0.3)
+    assert np.std(log.joint_position) == pytest.approx(0.5 * np.std(log.commanded_position), rel=0.1)
+    assert fit_servos(log, PENDULUM).heldout.before < 1e-4
+    stiff = {"stiffness_Nm_per_rad": [200.0], "damping_Nm_s_per_rad": [8.0]}
+    with pytest.raises(InputError, match="q1_rad moves 0.474 times as far as cmd1_rad"):
+        fit_servos(record(commands_of(600), stiff, kp=2.4, kd=0.3), PENDULUM)
+
+
 def test_exchanged_joints_are_refused():
     two = Arm("two", np.vstack([PENDULUM.kinematics, [[0.2, 0.0, 0.0, 0.0, 0.0, 0.0]]]))
     other = 0.3 * np.cos(np.arange(800) * 0.083)[:, None]
