@@ -53,6 +53,7 @@ from lite6jax.domains.registry import DOMAINS, POSES, TRACKING
 from lite6jax.domains.tracking.simulator import naming_the_chain
 from lite6jax.effects.composition import Physics, missing
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.kernels import remembers
 from lite6jax.effects.kinematic import JointHarmonic
 from lite6jax.effects.nonparametric import Unnamed
 from lite6jax.effects.statics import with_mass_errors
@@ -177,7 +178,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         """Held-out errors over the noise: positions per axis, and orientations as they are fitted, where measured.
 
         Where read-outs wander, positions are as they are fitted too: how far read-outs are off in held-out rows is not
-        known from the others.
+        known from the others. Where they err anew in each row, that is not known to be noise.
         """
         problem = self.problem
         fit = self.fit
@@ -187,7 +188,7 @@ class Diagnosis(DomainDiagnosis[PoseProblem]):
         if problem.declared_noise[0] is not None and inliers.any():
             rows = min(problem.rows, 3)
             squares = self.after**2
-            if problem.wandering:
+            if problem.wandering and all(remembers(effect.rolloff, problem.samples) for effect in problem.wandering):
                 lengths, _ = problem.errors(fit.nuisance, fit.terms, fit.values)
                 squares = lengths[0] ** 2 / freedom
             position = float(np.sqrt(np.mean(squares[inliers]) / rows) / problem.declared_noise[0])

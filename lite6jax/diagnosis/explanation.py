@@ -25,6 +25,7 @@ from lite6jax.domains.pose.screening.screen import price, screen
 from lite6jax.domains.pose.screening.screened import Corrections, ScreenedPoses
 from lite6jax.effects.deflection import place_of
 from lite6jax.effects.effect import Effect
+from lite6jax.effects.kernels import remembers
 from lite6jax.estimation.noise import NoiseModel, white_noise
 from lite6jax.estimation.projection import schur_complement
 from lite6jax.estimation.thresholds import CLOSE
@@ -235,6 +236,7 @@ def _with_wandering(explanation: Explanation) -> Explanation:
         "joints": [place_of(effect.where)[1] for effect in problem.wandering],
         "std_rad": [effect.spread for effect in problem.wandering],
         "memory_samples": [memory.samples for memory in memories],
+        "remembers": [remembers(effect.rolloff, problem.samples) for effect in problem.wandering],
         "memory_s": None if problem.motion.time is None else [memory.seconds for memory in memories],
         "log_likelihood_gap": [selected_term.gain for selected_term in wandering],
     })  # fmt: skip

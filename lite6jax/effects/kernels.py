@@ -626,6 +626,15 @@ def memory_of(rolloff: Floats) -> float:
     return 1 / (np.pi * corner)
 
 
+LEAST_MEMORY = 3.0
+"""Samples after which what wanders is still like itself, by e⁻¹: what forgets sooner is independent noise."""
+
+
+def remembers(rolloff: Floats, samples: int) -> bool:
+    """Tells whether what wanders by itself remembers more than a few of so many samples."""
+    return memory_of(rolloff) * samples >= LEAST_MEMORY
+
+
 def is_kernel(name: str, drivers: int) -> bool:
     """Tells whether a kernel of so many drivers has this name."""
     kernel = _kernel(name)

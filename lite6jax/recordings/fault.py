@@ -55,8 +55,8 @@ class DataFault:
                                 ("as_published" or "fitted"), numbers_more*
         calibration_off         sigma_m, sigma_rad, log_likelihood_gap (below zero where physics is likelier and not
                                 distinguished), rival_terms
-        wandering_readout       joints, and of each std_rad, memory_samples, memory_s (None without times) and
-                                log_likelihood_gap
+        wandering_readout       joints, and of each std_rad, memory_samples, remembers (false where the error is
+                                another one after a few rows), memory_s (None without times) and log_likelihood_gap
         no_joints               clock_offset_s
         outliers                none
 

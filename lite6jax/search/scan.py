@@ -42,6 +42,7 @@ from lite6jax.effects.kernels import (
     SINGLE,
     Kernel,
     kernel_of,
+    remembers,
     spline_basis,
 )
 from lite6jax.estimation.evidence import Evidence, Marginal, Sums, best_amplitude, bound, log_orders_of, of_process
@@ -64,8 +65,6 @@ _REPEATING = [name for name, kernel in KERNELS.items() if kernel.any_order]
 _JUMPING = [name for name, kernel in KERNELS.items() if kernel.any_sample]
 _UNDRIVEN = [name for name, kernel in KERNELS.items() if kernel.undriven]
 _MEMORIES = sum(len(kernel.grid) for kernel in KERNELS.values() if kernel.undriven)
-_LEAST_MEMORY = 3.0
-"""Samples after which a hidden state is still like itself, by e⁻¹: what forgets sooner is noise of its component."""
 _LEAST_CORNER = 1.6
 """Half-waves over the recording of a hidden state, and of the first read-out that wanders, at least."""
 _HIDDEN = 8
@@ -801,8 +800,8 @@ class ModelScan:
         wandering = self._of_rolloffs(component, self._scan.drivers, exact=True)
         if self._scan.is_read_out(component.site):
             return wandering
-        most = self._problem.samples / (np.pi * _LEAST_MEMORY)
-        return [candidate for candidate in _of_short_memory(wandering) if candidate.process[3][0] <= most]
+        samples = self._problem.samples
+        return [ranked for ranked in _of_short_memory(wandering) if remembers(ranked.process[3], samples)]
 
     def _rough_gains_of_wander(self, components: Sequence[Component]) -> Array:
         """The evidence of what wanders at each component, as if its waves had nothing in common."""

@@ -26,7 +26,7 @@ from typing import cast
 import numpy as np
 
 from lite6jax.array_types import Array, Mask
-from lite6jax.effects.kernels import kernel_of
+from lite6jax.effects.kernels import kernel_of, remembers
 from lite6jax.estimation.evidence import Marginal
 from lite6jax.estimation.least_squares import Fit, fit
 from lite6jax.estimation.options import EngineOptions
@@ -87,6 +87,7 @@ class Selector:
         self._grams: dict[Hashable, Array] = {}
         self._whitened = Whitened()
         self._known: dict[tuple[int, int], tuple[Fit, list[Ranked]]] = {}
+        self._excluded = frozenset[object]()
 
     # -------------------------------------------------------------- the search
 
@@ -110,9 +111,28 @@ class Selector:
             if self._in_noise_left(instead).evidence > grown.evidence - CLOSE:
                 instead = self._in_noise_left(self._grown(instead, exchanging, set()))
                 grown = max(grown, instead, key=lambda trial: trial.evidence)
+        grown = self._physics_instead(grown, begun, exchanging)
         while (simpler := self._noise_instead(grown)) is not None:
             grown = simpler
         return self.above_noise(grown)
+
+    def _physics_instead(self, state: State, begun: State, exchanging: bool) -> State:
+        """The likelier of a state and, where a read-out errs anew in each row, of what is found without that.
+
+        Independent errors of a read-out explain whatever few rows do not resolve, and come before several effects that
+        explain it together.
+        """
+        independent = {selected.term for selected in state.tested if self._forgets_at_once(selected.term)}
+        if not independent:
+            return state
+        self._excluded = frozenset(self._key_of(term) for term in independent)
+        instead = self._in_noise_left(self._grown(begun, exchanging, set()))
+        self._excluded = frozenset()
+        return max(state, instead, key=lambda trial: trial.evidence)
+
+    def _forgets_at_once(self, term: Term) -> bool:
+        """Tells whether a term is a read-out whose error is another one after a few rows."""
+        return is_wander(term) and self._is_noise(term) and not remembers(term.rolloff, self.problem.samples)
 
     def _in_noise_left(self, state: State) -> State:
         """The terms that are worth their cost in the noise that all of them leave."""
@@ -472,10 +492,14 @@ class Selector:
         alike = {component.name for component in self._alike(candidate.process[0])}
         return bool(components) and not alike & components
 
-    @staticmethod
-    def _not_refused(ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
+    def _not_refused(self, ranked: list[Ranked], test: ScoreTest, state: State) -> list[Ranked]:
         refused = {term.label for term in state.refused} | {term.label for term in test.fit.terms.terms}
-        return [candidate for candidate in ranked if candidate.process or candidate.cause[0] not in refused]
+        return [
+            candidate
+            for candidate in ranked
+            if (candidate.process and candidate.key not in self._excluded)
+            or (not candidate.process and candidate.cause[0] not in refused)
+        ]
 
     def _rows(self, term: Term, state: State) -> Mask:
         return acts_on(self.problem, term, (state.fit.terms, state.fit.values))

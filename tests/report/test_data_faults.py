@@ -78,6 +78,12 @@ FOUND = [
         "Joints 2 and 3 are read out with an error that wanders by itself: by 150, 120 µrad (one standard deviation), "
         "with a memory of 40, 16 s. Nothing that was recorded drives it.",
     ),
+    (
+        fault("wandering_readout", joints=[2, 3], std_rad=[1.5e-4, 7.8e-4], memory_samples=[31.0, 1.0],
+              memory_s=[40.0, 1.3], log_likelihood_gap=[200.0, 90.0], remembers=[True, False]),
+        "Joint 3 is read out with an error that is another one in each row, of 780 µrad (one standard deviation): "
+        "noise of the encoder, or what these rows are too few to resolve.",
+    ),
     (fault("no_joints", 1, 2, clock_offset_s=0.012), "2 rows were left out: the clocks differ by 0.012 s"),
     (fault("outliers", 8, 71, 134), "3 rows are outliers and have little weight."),
 ]  # fmt: skip

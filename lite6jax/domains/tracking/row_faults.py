@@ -31,6 +31,8 @@ _UNKNOWN_PAST = 0.5
 """s, by which servos have forgotten what they were commanded before a run begins."""
 _STALE_STEPS = 4.0
 """Quanta, or standard deviations of the noise, that an arm moves beyond a row that repeats the one before it."""
+_TWICE = 1.4
+"""Times the step after it, from which a step is two at once."""
 _ROUNDING = 1e-9
 """rad, by which numbers of a file differ at most that are the same to all digits."""
 _MOST_STALE = 0.5
@@ -151,9 +153,14 @@ def _stale_rows(data: TrackingRows) -> Mask:
         return repeated
     quanta = np.array([quantum(column) for column in q.T])
     size = np.maximum(np.maximum(quanta, data.noise), SAME)
-    later = np.minimum(np.arange(len(q)) + 1, len(q) - 1)
-    moved = np.max(np.abs(q[later] - q) / size, 1)
-    stale = repeated & (moved > _STALE_STEPS)
+    steps = np.max(np.abs(np.diff(q, axis=0)) / size, 1)  # from each row to the next
+    step_to = np.r_[0.0, steps]
+    step_from = np.r_[steps, 0.0]
+    step_after = np.r_[steps[1:], 0.0, 0.0]
+    # a motion that begins from rest grows, and one whose row is missing goes two steps at once
+    fresh = np.maximum.accumulate(np.where(repeated, 0, np.arange(len(q))))
+    goes_on = (step_to[fresh] > _STALE_STEPS) | (step_from > _TWICE * step_after)
+    stale = repeated & (step_from > _STALE_STEPS) & goes_on
     # rows before the jump repeat as well, back to the last one that was fresh
     for row in range(len(q) - 2, 0, -1):
         if stale[row + 1] and repeated[row]:
@@ -478,6 +485,8 @@ def _zeros_of_runs(data: TrackingRows, joint: int, rows: Mask) -> Array | None:
         middles = np.array([np.median(away[rows & (number == k)]) for k in range(count)])
         if np.median(np.abs(away - middles[number])[rows]) < remaining:
             offsets = middles - middles[0]
+            if np.ptp(offsets) < _ZERO:
+                return None
     return offsets - offsets[_nearest_run(data, joint, offsets, number)]
 
 

@@ -686,19 +686,39 @@ def distance_offset_ruled_out(fault: DataFault) -> str:
 
 
 def wandering_readout_found(fault: DataFault) -> str:
-    """Says which joints have a read-out that wanders, how far, and for how long it remembers."""
+    """Says which joints have a read-out that wanders, how far, and for how long it remembers; and which err anew."""
     numbers = fault.numbers
-    joints = numbers["joints"]
-    memory = _listed(numbers["memory_s"] or numbers["memory_samples"])
-    unit = "rows"
-    if numbers["memory_s"]:
-        unit = "s"
-    return (
-        f"{capital(joints_named(joints))} {be(len(joints))} read out with an error that wanders by itself: by "
-        f"{_listed(1e6 * std for std in numbers['std_rad'])} µrad (one standard deviation), with a memory of {memory} "
-        f"{unit}. Nothing that was recorded drives it. It is counted as noise. Record the temperatures of the joints, "
-        "and check the encoders."
-    )
+    remembered = numbers.get("remembers") or [True] * len(numbers["joints"])  # of documents of earlier versions
+    wandering = [k for k, remembers in enumerate(remembered) if remembers]
+    independent = [k for k, remembers in enumerate(remembered) if not remembers]
+    sentences = []
+    if wandering:
+        memory = _listed((numbers["memory_s"] or numbers["memory_samples"])[k] for k in wandering)
+        unit = "rows"
+        if numbers["memory_s"]:
+            unit = "s"
+        sentences.append(
+            f"{_read_outs(numbers, wandering)} that wanders by itself: by {_microradians_of(numbers, wandering)} (one "
+            f"standard deviation), with a memory of {memory} {unit}. Nothing that was recorded drives it. It is "
+            "counted as noise. Record the temperatures of the joints, and check the encoders."
+        )
+    if independent:
+        joints = joints_named([numbers["joints"][k] for k in independent])
+        sentences.append(
+            f"{_read_outs(numbers, independent)} that is another one in each row, of "
+            f"{_microradians_of(numbers, independent)} (one standard deviation): noise of the encoder, or what these "
+            f"rows are too few to resolve. Record rows along a slow motion of {joints}, at least 100."
+        )
+    return " ".join(sentences)
+
+
+def _read_outs(numbers: Numbers, places: Sequence[int]) -> str:
+    joints = [numbers["joints"][k] for k in places]
+    return f"{capital(joints_named(joints))} {be(len(joints))} read out with an error"
+
+
+def _microradians_of(numbers: Numbers, places: Sequence[int]) -> str:
+    return f"{_listed(1e6 * numbers['std_rad'][k] for k in places)} µrad"
 
 
 # ------------------------------------------------------------------ torques

@@ -181,7 +181,7 @@ def test_a_joint_that_declared_servos_move_half_as_far_is_in_its_unit():
     assert np.std(log.joint_position) == pytest.approx(0.5 * np.std(log.commanded_position), rel=0.1)
     assert fit_servos(log, PENDULUM).heldout.before < 1e-4
     stiff = {"stiffness_Nm_per_rad": [200.0], "damping_Nm_s_per_rad": [8.0]}
-    with pytest.raises(InputError, match="q1_rad moves 0.474 times as far as cmd1_rad"):
+    with pytest.raises(InputError, match=r"q1_rad moves 0\.474 times as far as cmd1_rad"):
         fit_servos(record(commands_of(600), stiff, kp=2.4, kd=0.3), PENDULUM)
 
 

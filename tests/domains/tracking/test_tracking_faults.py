@@ -12,7 +12,7 @@ from lite6jax.recordings import Recording
 from lite6jax.recordings.settings import ServoSettings
 from lite6jax.report.faults import fault_statement
 from lite6jax.simulation import draw_commands, simulate_tracking
-from tests.domains.tracking.test_servo_fit import PENDULUM, SERVO
+from tests.domains.tracking.test_servo_fit import PENDULUM, SERVO, record
 
 LITE6 = load_bundled("lite6")
 NOISE = 2e-5
@@ -214,6 +214,32 @@ def test_zeros_of_runs_are_taken_away(log, off, request):
     assert (fault.code, fault.numbers["joints"]) == ("zero_per_run", [2])
     assert fault.numbers["zeros_rad"] == pytest.approx(zeros, abs=off)
     assert pytest.approx(log.joint_position, abs=off) == result.data.measured.T
+
+
+QUANTUM = 2 * np.pi / 2**15
+
+
+def coarse(command):
+    """A log of read-outs that are whole steps of an encoder."""
+    log = record(command, SERVO, sigma=5e-5)
+    return with_columns(log, measured=np.round(log.joint_position / QUANTUM) * QUANTUM)
+
+
+def test_a_joint_that_rests_and_then_starts_has_no_stale_row():
+    log = coarse(0.2 * (np.arange(800) // 100 % 2))
+    q = log.joint_position[:, 0]
+    repeats = np.flatnonzero((np.diff(q[:-1]) == 0) & (np.abs(np.diff(q[1:])) > 4 * QUANTUM))
+    assert len(repeats) >= 3
+    assert other_faults(screened(log, PENDULUM)) == []
+
+
+def test_rows_that_repeat_in_a_motion_are_left_out():
+    log = coarse(0.4 * np.sin(np.arange(800) * 0.02))
+    q = log.joint_position.copy()
+    q[[300, 450, 451]] = q[[299, 449, 449]]
+    fault, result = the_fault(with_columns(log, measured=q), PENDULUM)
+    assert fault.code == "stale_rows"
+    assert np.flatnonzero(result.unusable).tolist() == [300, 450, 451]
 
 
 @pytest.mark.parametrize(("joint", "sign", "noise"), [(1, 1, 0.0), (4, -1, NOISE)])
