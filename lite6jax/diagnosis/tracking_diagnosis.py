@@ -37,8 +37,9 @@ from lite6jax.domains.tracking.rows import COARSE, INEXACT
 from lite6jax.domains.tracking.screening import screen_tracking
 from lite6jax.domains.tracking.simulator import SimulatorComparison, compare_simulator, with_simulator
 from lite6jax.domains.tracking.undetermined import undetermined
-from lite6jax.effects.dynamic import UnnamedInLoop
+from lite6jax.effects.dynamic import BaseTilt, PayloadTorque, UnnamedInLoop
 from lite6jax.effects.effect import Effect, Estimate
+from lite6jax.effects.servo import RateLimit
 from lite6jax.estimation.least_squares import fit, relinearise
 from lite6jax.estimation.options import EngineOptions
 from lite6jax.estimation.terms import Terms
@@ -239,6 +240,8 @@ def _peer_errors(problem: TrackingProblem, folds: Sequence[Mask]) -> dict[str, A
 # ------------------------------------------------------------------ the diagnosis
 
 
+_OF_ALL_JOINTS = (PayloadTorque, BaseTilt)
+"""Effects whose columns say least of their fits: each joint that they move moves others."""
 _IDLE = 0.03
 """Share by which a nonparametric effect must lower the RMS error of some joint; else it is left out."""
 _DISCREPANCY = 3e-3
@@ -367,7 +370,10 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
     linear: they may differ where their columns agree, and agree where these differ. Of a process the alternatives by
     rollouts are the same function elsewhere in the loop: a torque, a shift of the command or one of the read-out.
     """
-    selector = Selector(selection.problem, options.rough)
+    problem = selection.problem
+    assert isinstance(problem, TrackingProblem)
+    selector = Selector(replace(problem, coupled_columns=True), options.rough)
+    of_all_joints = [effect for effect in problem.candidates if isinstance(effect, _OF_ALL_JOINTS)]
     state = selection.state
     exchanges = 0
     while True:
@@ -378,7 +384,7 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
             if tested.term.nonparametric:
                 rivals.append(selector.elsewhere_in_loop(weighed, k))
             else:
-                rivals.append(selector.names_instead(weighed, k))
+                rivals.append(selector.names_instead(weighed, k, of_all_joints))
             likeliest = max(rivals[k], key=lambda rival: rival.evidence, default=weighed)
             if exchanges < EXCHANGES and likeliest.evidence > weighed.evidence + BETTER:
                 likelier = likeliest
@@ -396,7 +402,8 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
 def _with_alternatives(tested: SelectedTerm, weighed: State, rivals: Sequence[State]) -> SelectedTerm:
     """A term of a state with those in its place that are nearly as likely by their rollouts.
 
-    Those by columns have the places on its list that are left.
+    The data decide what is not distinguished: a name that explains as much is listed, however rare it is and however
+    many numbers it has. Those by columns have the places on its list that are left.
     """
     by_columns = tested.alternatives[: max(LISTED - len(rivals), 0)]
     if not tested.term.nonparametric:
@@ -406,6 +413,8 @@ def _with_alternatives(tested: SelectedTerm, weighed: State, rivals: Sequence[St
     for rival in rivals:
         (term,) = (selected.term for selected in rival.tested if selected.term not in weighed.fit.terms.terms)
         gap = weighed.evidence - rival.evidence
+        if not term.nonparametric:
+            gap = min(gap, weighed.fit.gain_over(rival.fit))
         if gap < CLOSE:
             alternatives.append(Alternative(term, max(gap, 0.0)))
     nearest = sorted(alternatives, key=lambda alternative: alternative.gap)
@@ -432,6 +441,23 @@ def _with_grip_of_friction(selection: Selection, options: EngineOptions) -> Sele
             break
         selection = replace(selection, problem=gripped, reference=gripped, state=again)
     return selection
+
+
+def _in_finer_steps(selection: Selection, options: EngineOptions) -> Selection:
+    """The selection with the names that are worth their cost in rollouts of half the step, where a rate is limited.
+
+    A limited rate ends within a step: what the longest steps miss of that looks like friction.
+    """
+    problem = selection.problem
+    assert isinstance(problem, TrackingProblem)
+    state = selection.state
+    limited = any(isinstance(term, RateLimit) for term in state.fit.terms.terms)
+    if not limited or len(state.tested) < 2 or not problem.data.coupled:
+        return selection
+    finer = replace(problem, data=problem.data.finer, known=RolloutCache())
+    state = fitted_again(finer, finer, state, state.fit.training, options.rough)
+    state = Selector(finer, options.rough).dropped(state)
+    return replace(selection, problem=finer, reference=finer, state=state)
 
 
 def _without_negligible(selection: Selection, options: EngineOptions) -> Selection:
@@ -546,7 +572,8 @@ def diagnose_tracking(
             assert isinstance(problem, TrackingProblem)
             selection = _without_negligible(selection, engine)
             if is_described:  # names of other arms were chosen by what they predict, not by evidence
-                selection = _compared_by_rollouts(selection, engine)
+                selection = _in_finer_steps(_compared_by_rollouts(selection, engine), engine)
+                problem = selection.problem
             selection = replace(selection, state=final_estimates(problem, selection.state, engine))
         folds = interleaved_folds(problem.run)
         held_out = partial(errors_of_folds, _errors_of_refit, (selection, engine), anywhere=False)

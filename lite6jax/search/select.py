@@ -992,20 +992,31 @@ class Selector:
             self._known[key] = state.fit, ordered  # the fit is kept, so that no other one has its identity
         return self._known[key][1]
 
-    def names_instead(self, state: State, k: int) -> list[State]:
+    def names_instead(self, state: State, k: int, always: Sequence[Term] = ()) -> list[State]:
         """States with another name in the place of the k-th, one that moves the same rows, each fitted.
 
         These are names that by their columns are worth `_LIKELY` of the likeliest, and move enough rows to come near.
+
+        Args:
+            state: of which a term is exchanged.
+            k: its place.
+            always: names that are fitted whatever their columns say.
         """
         term = state.tested[k].term
         moved = self._rows(term, state)
-        named = self._names_moving(moved, self.beside(state, k), state)
+        test = self.beside(state, k)
+        named = self._names_moving(moved, test, state)
         named = [name for name in named if name.cause[0] != term.label]
         least = _LIKELY * max((name.net for name in named), default=0.0)
+        named = [name for name in named if name.net >= least]
+        present = {term.label, *(name.cause[0] for name in named)}
+        weighed = ModelScan(self.scan, test)
+        asked = [weighed.as_is(other) for other in always if other.label not in present]
+        named += self._not_refused([name for name in asked if name is not None], test, state)
         without = self._left_out(state, k)
         near = state.evidence - CLOSE - without.evidence
         instead = list[State]()
-        for name in (name for name in named if name.net >= least):
+        for name in named:
             if self._most_gained(name, moved, without) < near:
                 continue
             trial = self._within_bounds(self._with(without, name))

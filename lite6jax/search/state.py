@@ -21,7 +21,8 @@ class Alternative:
 
     Attributes:
         term: which.
-        gap: by which its log evidence, less the cost of its choice, is lower.
+        gap: by which its log evidence, less the cost of its choice, is lower; where rollouts compare names, by which
+            their log-likelihood is, if that is less.
         together_with: further terms without which it does not explain that.
     """
 

@@ -77,6 +77,8 @@ _OFTEN = 0.9
 _APART_LIMITS = 1.12
 _MOST_LIMITS = 30
 """Ratio of the limits that are tried, and how many of them at most. A limit that is a little too low stops a joint."""
+_HARDLY_REACHED = (0.003, 0.01, 0.03)
+"""Shares below what a joint is asked for at most, of limits that it seldom reaches."""
 _FINER_STARTS = 6
 """Finer grids about the best start."""
 _BETWEEN = 5
@@ -185,6 +187,8 @@ class TrackingProblem:
         candidates: effects that are testable with this recording.
         untestable: those that are not, and why.
         valid: `(sample,)`, those that may be used at all.
+        coupled_columns: whether columns of effects on bodies hold what each joint does to the others, which takes a
+            rollout of the whole arm for each number.
         known: what has been computed.
     """
 
@@ -196,6 +200,7 @@ class TrackingProblem:
     candidates: tuple[Effect, ...]
     untestable: tuple[Untestable, ...]
     valid: Mask
+    coupled_columns: bool = False
     known: RolloutCache = field(default_factory=RolloutCache)
 
     def __getstate__(self) -> dict[str, object]:
@@ -336,17 +341,34 @@ class TrackingProblem:
         starts: dict[Effect, Array] = {}
         if limits:
             starts = dict(zip(limits, self._likeliest_starts(limits, others, numbers), strict=True))
+        columns = np.zeros((own.size, self.rows, self.samples))
         for effect, part in own.pairs:
             assert isinstance(effect, Effect)
+            if self.coupled_columns and self.data.coupled and isinstance(effect, LOADED):
+                columns[part] = self._coupled(effect, at[part], others, numbers)
+                continue
             step = float(starts[effect][0]) or None if effect in starts else None
             wanted += enumerate(self._of_effect(effect, at[part], others, numbers, step), part.start)
         differences = self._computed([difference for _, by_joint in wanted for difference in by_joint])
-        columns = np.zeros((own.size, self.rows, self.samples))
         for number, by_joint in wanted:
             for difference in by_joint:
                 joint = difference.before.joint
                 columns[number, joint] = differences[difference.key][self.chosen] / self.noise[joint]
         return columns
+
+    def _coupled(self, effect: Effect, at: Array, others: Terms, numbers: Array) -> Array:
+        """The columns of an effect on bodies `(number, joint, sample)`, with what each joint does to the others."""
+        none = np.zeros(len(self.unknowns))
+        terms, values = others.part(numbers, [term != effect for term in others.terms])
+        model = Terms((*terms.terms, effect))
+        before = self.readouts(none, model, np.concatenate([values, at]))
+        columns = []
+        for k in range(effect.size):
+            over = self.step_of(effect, k, float(at[k]))
+            changed = at + over * np.eye(effect.size)[k]
+            after = self.readouts(none, model, np.concatenate([values, changed]))
+            columns.append((after - before)[:, self.chosen] / over / self.noise[:, None])
+        return np.stack(columns)
 
     def _of_effect(
         self, effect: Effect, at: Array, others: Terms, numbers: Array, step: float | None = None
@@ -508,7 +530,8 @@ class TrackingProblem:
         if not 0 < lowest < highest:
             return np.zeros(0)
         count = min(int(np.ceil(np.log(highest / lowest) / np.log(_APART_LIMITS))) + 1, _MOST_LIMITS)
-        return 1 / np.geomspace(highest, lowest, count)
+        limits = np.r_[np.geomspace(highest, lowest, count), highest * (1 - np.array(_HARDLY_REACHED))]
+        return 1 / np.unique(limits[limits >= lowest])[::-1]
 
     def _gains(
         self, effects: Sequence[Effect], grids: Sequence[Array], model: Terms, values: Array, present: Array

@@ -125,6 +125,11 @@ class TrackingRows:
         return replace(self, commands=_held(self.recording, self.noise, _ROUGH), coupled=False)
 
     @cached_property
+    def finer(self) -> "TrackingRows":
+        """The same, rolled out in half of the longest steps."""
+        return replace(self, commands=_held(self.recording, self.noise, 0.5 * LONGEST_STEP))
+
+    @cached_property
     def motion(self) -> Motion:
         """The measured motion, smoothed, with accelerations; NumPy arrays."""
         return measured_motion(self.recording, self.rolled, self.noise)

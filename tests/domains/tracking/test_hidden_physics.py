@@ -13,9 +13,10 @@ from benchmarks.tracking_trials.physics import Setup, roll
 from lite6jax import diagnose
 from lite6jax.arms.description import read_description
 from lite6jax.domains.tracking.predict import describe_servos
-from lite6jax.domains.tracking.problem import along_rollout, diagnosed_servos, tracking_problem
+from lite6jax.domains.tracking.problem import RolloutCache, along_rollout, diagnosed_servos, tracking_problem
 from lite6jax.domains.tracking.rows import tracking_rows
 from lite6jax.effects.catalogue import TRACKING_EFFECTS
+from lite6jax.effects.dynamic import PayloadTorque
 from lite6jax.errors import InputError
 from lite6jax.estimation.least_squares import fit
 from lite6jax.estimation.options import EngineOptions
@@ -136,6 +137,40 @@ def warm(setup, arm):
     rise = np.linspace(0.0, 10.0, 800)
     log = log_of(setup, [WARMING], joint_temperature=25.0 + rise[:, None] * np.array([0.5, 1.0, 0.2]))
     return along_rollout(tracking_problem(tracking_rows(log, arm)), Terms(), np.zeros(0))
+
+
+def test_columns_of_bodies_hold_what_each_joint_does_to_the_others(setup, arm):
+    problem = tracking_problem(tracking_rows(log_of(setup, []), arm))
+    coupled = replace(problem, coupled_columns=True)
+    effect = PayloadTorque()
+    step = 0.02
+    shown = [problem.residual(np.zeros(0), Terms((effect,)), np.array([mass])) for mass in (0.0, step)]
+    true = (shown[1] - shown[0]) / step
+    held, whole = (each.columns([effect])[0] for each in (problem, coupled))
+    distances = [np.linalg.norm(column - true) / np.linalg.norm(true) for column in (held, whole)]
+    assert distances[1] < 0.02
+    assert distances[1] < 0.3 * distances[0]
+
+
+def test_what_the_data_alone_do_not_distinguish_is_listed(setup, arm):
+    """Less viscous friction, which is usual, a little delay and a little feed-forward differ by their priors alone."""
+    hidden = Hidden("servo_feedforward", "joint2", {"feedforward_Nm_s_per_rad": 0.02})
+    (finding,) = diagnose(log_of(setup, [hidden]), arm=arm).findings
+    names = {finding.name, *(alternative.term.name for alternative in finding.alternatives)}
+    assert {"servo_feedforward", "command_delay"} <= names
+
+
+def test_finer_steps_are_nearer_to_a_limited_rate(setup, arm):
+    hidden = Hidden("rate_limit", "joint2", {"velocity_rad_per_s": 0.5})
+    problem = tracking_problem(tracking_rows(log_of(setup, []), arm))
+    true = roll(setup, [(hidden,)], commands_of(setup, 800), 2.5e-4).readout[0, 0].T
+    effect, values = effect_of(hidden)
+    errors = []
+    for data in (problem.data, problem.data.finer):
+        shown = replace(problem, data=data, known=RolloutCache()).readouts(np.zeros(0), Terms((effect,)), values)
+        errors.append(np.sqrt(np.mean((shown - true)[1] ** 2)))
+    assert errors[1] < 0.6 * errors[0]
+    assert errors[1] < 2e-5
 
 
 def test_drivers_are_all_that_varies_each_where_it_may_act(warm):

@@ -253,3 +253,13 @@ def test_a_limit_that_is_reached_but_seldom_is_no_function_of_the_speed():
     assert [(finding["effect"], finding["site"]) for finding in document["findings"]] == [("torque_limit", "joint1")]
     limit = document["findings"][0]["parameters"]["torque_Nm"]
     assert limit["value"] == pytest.approx(12.0, rel=0.01)
+
+
+def test_a_fit_of_a_limit_that_is_hardly_reached_begins_below_what_is_asked_for():
+    command = commands_of(SAMPLES)
+    problem = tracking_problem(tracking_rows(record(command, SERVO), PENDULUM))
+    asked = TRUE["kp"] * np.max(np.abs(command - problem.readouts(np.zeros(0), Terms(), np.zeros(0))[0]))
+    limit = 0.95 * asked
+    limited = tracking_problem(tracking_rows(record(command, SERVO, limit=limit), PENDULUM))
+    (start,) = limited.likeliest_start(TorqueLimit(1), Terms(), np.zeros(0))
+    assert 1 / start == pytest.approx(limit, rel=0.03)
