@@ -372,8 +372,11 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
     """
     problem = selection.problem
     assert isinstance(problem, TrackingProblem)
-    selector = Selector(replace(problem, coupled_columns=True), options.rough)
-    of_all_joints = [effect for effect in problem.candidates if isinstance(effect, _OF_ALL_JOINTS)]
+    # what each joint does to the others is small, and large beside what unknown servos leave of an effect
+    of_all_joints = list[Effect]()
+    if problem.unknowns:
+        of_all_joints = [effect for effect in problem.candidates if isinstance(effect, _OF_ALL_JOINTS)]
+    selector = Selector(replace(problem, coupled_columns=bool(problem.unknowns)), options.rough)
     state = selection.state
     exchanges = 0
     while True:
