@@ -368,7 +368,8 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
 
     The search knows alternatives by their columns, to first order. Rollouts of friction, play and limits are not
     linear: they may differ where their columns agree, and agree where these differ. Of a process the alternatives by
-    rollouts are the same function elsewhere in the loop: a torque, a shift of the command or one of the read-out.
+    rollouts are the same function elsewhere in the loop: a torque, a shift of the command or one of the read-out; and
+    beside unknown servos, which take most of what a name moves, names.
     """
     problem = selection.problem
     assert isinstance(problem, TrackingProblem)
@@ -385,7 +386,8 @@ def _compared_by_rollouts(selection: Selection, options: EngineOptions) -> Selec
         likelier = None
         for k, tested in enumerate(state.tested):
             if tested.term.nonparametric:
-                rivals.append(selector.elsewhere_in_loop(weighed, k))
+                of_names = selector.names_instead(weighed, k) if problem.unknowns else []
+                rivals.append([*selector.elsewhere_in_loop(weighed, k), *of_names])
             else:
                 rivals.append(selector.names_instead(weighed, k, of_all_joints))
             likeliest = max(rivals[k], key=lambda rival: rival.evidence, default=weighed)

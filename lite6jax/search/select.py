@@ -67,7 +67,7 @@ _FAILURES = 2
 _RIVALS = 4
 """Names of a site that are fitted beside the likeliest one, or in the place of two; beside it one of each other site
 that moves the same rows as well."""
-_LIKELY = 0.25
+_LIKELY = 0.2
 """Share of the log odds of the likeliest name by its columns, from which others may be likelier by their fits."""
 _LIKELY_IN_LOOP = 0.8
 """The same of processes whose functions pass the loop: these say more than columns of names."""
